@@ -1,0 +1,241 @@
+//! The only room that knows MPI: processes, messages, reductions, and the end of all ranks when one fails.
+//!
+//! Messages are `u64` words in buffers that the other rooms pack and unpack; nothing here knows what they mean.
+
+mod exact_sum;
+mod halo;
+mod reduction;
+
+pub use exact_sum::{ExactSum, Grid};
+pub use halo::Halo;
+pub use reduction::Totals;
+
+use mpi::collective::UnsafeUserOperation;
+use mpi::point_to_point::{Destination, Source};
+use mpi::topology::{Communicator, SimpleCommunicator};
+use mpi::traits::{AsRaw, CommunicatorCollectives, Root};
+
+/// MPI, from initialisation to finalisation. Without `mpirun` this is one rank.
+pub struct Session {
+    universe: Option<mpi::environment::Universe>,
+}
+
+impl Session {
+    /// Initialises MPI (calls from the main thread only) and makes a panic on any rank end all of them.
+    pub fn start() -> Self {
+        let universe = mpi::initialize_with_threading(mpi::Threading::Funneled).map(|(universe, _)| universe);
+        if let Some(universe) = &universe {
+            let rank = universe.world().rank();
+            let size = universe.world().size();
+            let default_hook = std::panic::take_hook();
+            std::panic::set_hook(Box::new(move |info| {
+                eprintln!("jamhpc: internal error on rank {rank} of {size}; all ranks end");
+                default_hook(info);
+                // SimpleCommunicator::world() needs no state, so that any thread may abort
+                SimpleCommunicator::world().abort(EXIT_PANIC);
+            }));
+        }
+        Session { universe }
+    }
+
+    /// The communicator of all ranks.
+    pub fn world(&self) -> Comm {
+        match &self.universe {
+            Some(universe) => Comm::over(universe.world().duplicate()),
+            None => Comm::alone(),
+        }
+    }
+}
+
+/// Exit status of all ranks when one has panicked.
+pub const EXIT_PANIC: i32 = 70;
+
+/// A group of ranks that work on one system. Every method that communicates must be called by all of them in the same
+/// order.
+pub struct Comm {
+    group: Option<SimpleCommunicator>,
+    fold: Option<UnsafeUserOperation>,
+    rank: usize,
+    size: usize,
+}
+
+impl Comm {
+    /// One rank by itself: no MPI call is ever made.
+    pub fn alone() -> Self {
+        Comm { group: None, fold: None, rank: 0, size: 1 }
+    }
+
+    fn over(group: SimpleCommunicator) -> Self {
+        let (rank, size) = (group.rank() as usize, group.size() as usize);
+        // SAFETY: the function is a pure fold of plain data; commutative and associative by the tests of `reduction`.
+        let fold = (size > 1).then(|| unsafe { UnsafeUserOperation::commutative(reduction::fold_raw) });
+        Comm { group: Some(group), fold, rank, size }
+    }
+
+    pub fn rank(&self) -> usize {
+        self.rank
+    }
+
+    pub fn size(&self) -> usize {
+        self.size
+    }
+
+    /// Rank 0 speaks to the user and reads files.
+    pub fn is_root(&self) -> bool {
+        self.rank == 0
+    }
+
+    fn peers(&self) -> Option<&SimpleCommunicator> {
+        self.group.as_ref().filter(|_| self.size > 1)
+    }
+
+    /// The raw MPI communicator for libraries that open files in parallel; none when MPI was never started.
+    pub fn raw(&self) -> Option<mpi::ffi::MPI_Comm> {
+        self.group.as_ref().map(|group| group.as_raw())
+    }
+
+    /// Combines the partial totals of all ranks, in place, in one collective operation.
+    pub fn combine(&self, totals: &mut Totals) {
+        if let (Some(group), Some(fold)) = (self.peers(), &self.fold) {
+            let mine = totals.to_words();
+            let mut all = [0i64; Totals::WORDS];
+            group.all_reduce_into(&mine, &mut all, fold);
+            *totals = Totals::from_words(all);
+        }
+    }
+
+    /// The largest of one number per rank; a NaN on any rank answers NaN.
+    pub fn max(&self, x: f64) -> f64 {
+        self.max_each([x])[0]
+    }
+
+    /// The largest over ranks of each of a few numbers.
+    pub fn max_each<const N: usize>(&self, x: [f64; N]) -> [f64; N] {
+        let mut largest = x;
+        for part in self.all_gather(&x.map(f64::to_bits)) {
+            for (most, bits) in largest.iter_mut().zip(part) {
+                let other = f64::from_bits(bits);
+                *most = if most.is_nan() || other.is_nan() { f64::NAN } else { most.max(other) };
+            }
+        }
+        largest
+    }
+
+    /// Whether it is true on any rank.
+    pub fn any(&self, here: bool) -> bool {
+        self.max(if here { 1.0 } else { 0.0 }) > 0.0
+    }
+
+    /// Sum of one whole number per rank.
+    pub fn sum_count(&self, here: u64) -> u64 {
+        self.all_gather(&[here]).iter().map(|part| part[0]).sum()
+    }
+
+    /// Order-independent sums of `K` quantities over any number of terms on every rank: the same bits whichever rank
+    /// holds a term. `terms` is walked twice (its largest magnitudes first).
+    pub fn sum_terms<const K: usize>(&self, terms: impl Iterator<Item = [f64; K]> + Clone) -> [f64; K] {
+        let mut bound = [0.0f64; K];
+        for term in terms.clone() {
+            for k in 0..K {
+                bound[k] = if term[k].is_nan() { f64::NAN } else { bound[k].max(term[k].abs()) };
+            }
+        }
+        let grids = self.max_each(bound).map(Grid::for_terms_up_to);
+        let mut sums = [ExactSum::default(); K];
+        for term in terms {
+            for k in 0..K {
+                sums[k].add(grids[k], term[k]);
+            }
+        }
+        let mut whole = [ExactSum::default(); K];
+        let words: Vec<u64> = sums.iter().flat_map(|s| s.limbs.map(|l| l as u64)).collect();
+        for part in self.all_gather(&words) {
+            for k in 0..K {
+                whole[k].merge(ExactSum { limbs: [part[2 * k] as i64, part[2 * k + 1] as i64] });
+            }
+        }
+        std::array::from_fn(|k| whole[k].value(grids[k]))
+    }
+
+    /// The same number of words from every rank, in rank order.
+    pub fn all_gather(&self, words: &[u64]) -> Vec<Vec<u64>> {
+        match self.peers() {
+            None => vec![words.to_vec()],
+            Some(group) => {
+                let mut all = vec![0u64; words.len() * self.size];
+                group.all_gather_into(words, &mut all[..]);
+                all.chunks(words.len().max(1)).map(<[u64]>::to_vec).collect()
+            }
+        }
+    }
+
+    /// Sends `outgoing[k]` to `peers[k]` and returns what each of them sent here, in the same order. The relation must
+    /// be mutual: every rank names those that name it. Any lengths.
+    pub fn exchange(&self, peers: &[usize], outgoing: &[Vec<u64>]) -> Vec<Vec<u64>> {
+        let Some(group) = self.peers() else { return Vec::new() };
+        mpi::request::multiple_scope(peers.len(), |scope, pending| {
+            for (&peer, words) in peers.iter().zip(outgoing) {
+                pending.add(group.process_at_rank(peer as i32).immediate_send(scope, &words[..]));
+            }
+            let incoming = peers.iter().map(|&peer| group.process_at_rank(peer as i32).receive_vec().0).collect();
+            pending.wait_all(&mut Vec::new());
+            incoming
+        })
+    }
+
+    /// Sends `outgoing[r]` to every rank r and returns what every rank sent here.
+    pub fn all_to_all(&self, outgoing: Vec<Vec<u64>>) -> Vec<Vec<u64>> {
+        let Some(_) = self.peers() else { return outgoing };
+        let everyone: Vec<usize> = (0..self.size).filter(|&r| r != self.rank).collect();
+        let to_others: Vec<Vec<u64>> = everyone.iter().map(|&r| outgoing[r].clone()).collect();
+        let mut incoming = self.exchange(&everyone, &to_others);
+        incoming.insert(self.rank, outgoing[self.rank].clone());
+        incoming
+    }
+
+    /// All ranks' words on rank 0, in rank order; nothing elsewhere.
+    pub fn gather(&self, words: Vec<u64>) -> Vec<Vec<u64>> {
+        let Some(group) = self.peers() else { return vec![words] };
+        if self.is_root() {
+            let mut all = vec![words];
+            all.extend((1..self.size).map(|r| group.process_at_rank(r as i32).receive_vec().0));
+            all
+        } else {
+            group.process_at_rank(0).send(&words[..]);
+            Vec::new()
+        }
+    }
+
+    /// Rank 0's bytes on every rank.
+    pub fn broadcast(&self, bytes: Vec<u8>) -> Vec<u8> {
+        let Some(group) = self.peers() else { return bytes };
+        let root = group.process_at_rank(0);
+        let mut length = bytes.len() as u64;
+        root.broadcast_into(&mut length);
+        let mut bytes = if self.is_root() { bytes } else { vec![0; length as usize] };
+        root.broadcast_into(&mut bytes[..]);
+        bytes
+    }
+
+    /// What `read` gives on rank 0, success or failure, on every rank. Rank 0 alone calls it.
+    pub fn from_root<E: From<String> + std::fmt::Display>(
+        &self,
+        read: impl FnOnce() -> Result<Vec<u8>, E>,
+    ) -> Result<Vec<u8>, E> {
+        let outcome = if self.is_root() { Some(read()) } else { None };
+        let (ok, bytes) = match outcome {
+            Some(Ok(bytes)) => (1, bytes),
+            Some(Err(error)) => (0, error.to_string().into_bytes()),
+            None => (0, Vec::new()),
+        };
+        let tagged = self.broadcast([vec![ok], bytes].concat());
+        let (ok, bytes) = (tagged[0] == 1, tagged[1..].to_vec());
+        if ok { Ok(bytes) } else { Err(E::from(String::from_utf8_lossy(&bytes).into_owned())) }
+    }
+
+    pub fn barrier(&self) {
+        if let Some(group) = self.peers() {
+            group.barrier();
+        }
+    }
+}

@@ -1,0 +1,573 @@
+//! One system of particles over a group of ranks: migrate → cell lists → halo → neighbour lists when needed,
+//! else a halo update, then forces. The only place where models meet communication.
+
+use crate::comm::{Comm, Halo};
+use crate::decomposition::{ProcessGrid, TooManyRanks};
+use crate::geometry::{Frac, PeriodicBox, Vec2, norm};
+use crate::model::{Model, Terms, View};
+use crate::neighbor::{Candidates, CellList, PointList};
+use crate::particles::{Bodies, ForeignPoint, Particles};
+use crate::threads::{self, Chunk};
+
+/// Why a system cannot be set up or continued. All ranks get the same value.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EngineError {
+    #[error(transparent)]
+    TooManyRanks(#[from] TooManyRanks),
+    #[error(
+        "the box is too small: a particle {extent:.4} across (contact range included) meets its own periodic image in a \
+         box {width:.4} wide; take more particles or a larger box"
+    )]
+    BoxTooSmall { extent: f64, width: f64 },
+    #[error(
+        "forces on particle {particle} are not finite or run away; the state before this minimisation was the last good one"
+    )]
+    Runaway { particle: u32 },
+    #[error("the outlines of particles {0} and {1} cross: crossed outlines never untangle, so the state is not valid")]
+    Crossing(u32, u32),
+}
+
+/// What a run has cost so far, on this rank.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Counters {
+    /// Force evaluations.
+    pub forces: u64,
+    /// Neighbour list builds.
+    pub rebuilds: u64,
+    /// Particles handed to another rank.
+    pub migrated: u64,
+}
+
+/// Energy and stress of the whole system.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Energies {
+    /// U, sum of the three terms.
+    pub total: f64,
+    pub line: f64,
+    pub area: f64,
+    /// U_int: all contacts.
+    pub contact: f64,
+    /// −dU/d(strain)/A, all terms: xx, xy, yx, yy.
+    pub virial: [f64; 4],
+    /// Σ_pairs f ⊗ (distance of centroids)/A, same order (paper, Eq. 6 and §2.2, in pairwise periodic writing).
+    pub centroid: [f64; 4],
+}
+
+impl Energies {
+    /// Mean of the diagonal of the centroid stress: exactly zero where nothing touches.
+    pub fn pressure(&self) -> f64 {
+        0.5 * (self.centroid[0] + self.centroid[3])
+    }
+
+    /// Largest difference between the two stress forms, zero at force balance.
+    pub fn stress_mismatch(&self) -> f64 {
+        self.virial.iter().zip(&self.centroid).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+}
+
+/// Particles, their box and potential, and the lists that make forces cheap.
+pub struct System<M: Model> {
+    pub comm: Comm,
+    pub model: M,
+    pub counters: Counters,
+    grid: ProcessGrid,
+    pbox: PeriodicBox,
+    particles: Particles,
+    forces: Vec<Vec2>,
+    chunks: Vec<Chunk>,
+    skin: f64,
+    list: M::List,
+    halo: Halo,
+    /// Largest particle size and circumradius on any rank at the last build.
+    largest_size: f64,
+    built_box: PeriodicBox,
+    built_position: Vec<Frac>,
+    /// No own or foreign point has travelled farther than this since the build; the same on all ranks. Infinite when
+    /// not known.
+    travel_bound: f64,
+    /// The lists were never built, or do not describe these particles.
+    stale: bool,
+    /// Foreign positions may be old.
+    halo_is_old: bool,
+}
+
+impl<M: Model> System<M> {
+    /// A system of the particles that each rank brings (any distribution over the ranks; ids unique).
+    ///
+    /// `smallest_box` is the smallest box that this system is going to have: whether the ranks fit is decided for it
+    /// here, not in the middle of a run. `skin` is added to the range of neighbour lists.
+    pub fn new(
+        comm: Comm,
+        model: M,
+        pbox: PeriodicBox,
+        smallest_box: &PeriodicBox,
+        particles: Particles,
+        skin: f64,
+    ) -> Result<Self, EngineError> {
+        let radius = |p: usize| particles.circumradius(&pbox, p);
+        let (size, radius) =
+            (0..particles.len()).fold((0.0f64, 0.0f64), |(size, r), p| (size.max(particles.size[p]), r.max(radius(p))));
+        let [largest_size, largest_radius] = comm.max_each([size, radius]);
+        let range = model.range(largest_size);
+        let extent = 2.0 * largest_radius + range;
+        let widths = smallest_box.widths();
+        let width = widths[0].min(widths[1]);
+        // a disk also must not overlap the same neighbour through two images
+        let extent = if matches!(particles.bodies, Bodies::Disks) { 2.0 * extent } else { extent };
+        if extent >= width {
+            return Err(EngineError::BoxTooSmall { extent, width });
+        }
+        let grid = ProcessGrid::new(comm.size(), smallest_box, range + skin + 2.0 * largest_radius)?;
+        Ok(System {
+            list: M::List::default(),
+            comm,
+            model,
+            counters: Counters::default(),
+            grid,
+            pbox,
+            forces: Vec::new(),
+            chunks: Vec::new(),
+            skin,
+            halo: Halo::default(),
+            largest_size,
+            built_box: pbox,
+            built_position: Vec::new(),
+            travel_bound: f64::INFINITY,
+            stale: true,
+            halo_is_old: true,
+            particles,
+        })
+    }
+
+    pub fn pbox(&self) -> &PeriodicBox {
+        &self.pbox
+    }
+
+    pub fn particles(&self) -> &Particles {
+        &self.particles
+    }
+
+    /// Forces on this rank's own points, as of the last evaluation.
+    pub fn forces(&self) -> &[Vec2] {
+        &self.forces
+    }
+
+    /// Own particles in runs of similar work.
+    pub fn chunks(&self) -> &[Chunk] {
+        &self.chunks
+    }
+
+    /// Number of particles on all ranks.
+    pub fn n_particles(&self) -> u64 {
+        self.comm.sum_count(self.particles.len() as u64)
+    }
+
+    /// Number of points on all ranks.
+    pub fn n_points(&self) -> u64 {
+        self.comm.sum_count(self.particles.owned_points() as u64)
+    }
+
+    pub fn largest_size(&self) -> f64 {
+        self.largest_size
+    }
+
+    pub fn grid(&self) -> &ProcessGrid {
+        &self.grid
+    }
+
+    /// Bytes of this rank's arrays, lists and buffers for one update of the halo: points sent and received.
+    pub fn halo_points(&self) -> (usize, usize) {
+        (self.halo.sent(), self.halo.received())
+    }
+
+    /// Reserves `n` vectors per point that travel with their particle, all zero.
+    pub fn carry(&mut self, n: usize) {
+        let points = self.particles.owned_points();
+        self.particles.carried = vec![vec![[0.0; 2]; points]; n];
+    }
+
+    /// Changes the box and takes every point along affinely.
+    pub fn deform(&mut self, to: PeriodicBox) {
+        self.pbox = to;
+    }
+
+    /// Changes the box, takes particle centres along affinely and moves each particle as a rigid whole.
+    pub fn deform_rigidly(&mut self, to: PeriodicBox) {
+        if matches!(self.particles.bodies, Bodies::Disks) {
+            return self.deform(to);
+        }
+        for p in 0..self.particles.len() {
+            let center = self.particles.center(&self.pbox, p);
+            for point in self.particles.bodies.points(p) {
+                let arm = self.pbox.displacement(self.particles.position[point], center);
+                self.particles.position[point] = to.moved(center, arm);
+            }
+        }
+        self.pbox = to;
+        self.travel_bound = f64::INFINITY;
+        self.halo_is_old = true;
+    }
+
+    /// Puts this rank's own particles at other positions, in another box.
+    pub fn restore(&mut self, pbox: PeriodicBox, particles: Particles) {
+        self.pbox = pbox;
+        self.particles = particles;
+        self.particles.forget_foreign();
+        self.stale = true;
+    }
+
+    /// Copy of this rank's own particles.
+    pub fn own_particles(&self) -> Particles {
+        let mut own = self.particles.clone();
+        own.forget_foreign();
+        own
+    }
+
+    /// Moves points: `step` gets a chunk, the box, and that chunk's positions, first carried vectors and forces. No
+    /// point may move farther than `bound`, which must be the same on all ranks.
+    pub fn move_points(&mut self, bound: f64, step: impl Fn(&PeriodicBox, &mut [Frac], &mut [Vec2], &[Vec2]) + Sync) {
+        let owned = self.particles.owned_points();
+        let Particles { position, carried, .. } = &mut self.particles;
+        let (forces, pbox) = (&self.forces, &self.pbox);
+        threads::fold(
+            &self.chunks,
+            &mut position[..owned],
+            &mut carried[0],
+            &|chunk, position, vectors| step(pbox, position, vectors, &forces[chunk.points.clone()]),
+            &|(), ()| (),
+        );
+        self.travel_bound += bound;
+        self.halo_is_old = true;
+    }
+
+    /// Evaluates the forces on all own points, then calls `reduce` on each chunk while it is in the cache and merges
+    /// the answers; `None` on a rank without particles.
+    pub fn evaluate<R: Send>(
+        &mut self,
+        reduce: impl Fn(&Chunk, &Particles, &[Vec2]) -> R + Sync,
+        merge: impl Fn(R, R) -> R + Sync,
+    ) -> Result<Option<R>, EngineError> {
+        self.prepare()?;
+        self.counters.forces += 1;
+        let view = View { pbox: &self.pbox, particles: &self.particles, lists: &self.list };
+        let model = &self.model;
+        Ok(threads::fold(
+            &self.chunks,
+            &mut self.forces,
+            &mut vec![(); self.built_position.len()], // zero-sized: no memory behind it
+            &|chunk, forces, _| {
+                model.forces(&view, chunk.particles.clone(), forces);
+                reduce(chunk, view.particles, forces)
+            },
+            &merge,
+        ))
+    }
+
+    /// The largest force on any point of any rank (NaN if one is), evaluated afresh.
+    pub fn max_force(&mut self) -> Result<f64, EngineError> {
+        let largest = |_: &Chunk, _: &Particles, forces: &[Vec2]| {
+            forces.iter().map(|&f| norm(f)).fold(0.0, |m, f| if f > m || f.is_nan() { f } else { m })
+        };
+        let here = self.evaluate(largest, |a, b| if a.is_nan() || a > b { a } else { b })?;
+        Ok(self.comm.max(here.unwrap_or(0.0)))
+    }
+
+    /// Lists and foreign positions for the present positions and box. Collective.
+    pub fn prepare(&mut self) -> Result<(), EngineError> {
+        if self.stale || !self.lists_hold() {
+            self.rebuild()?;
+        } else if self.halo_is_old {
+            self.halo.update(&self.comm, &mut self.particles.position);
+        }
+        self.halo_is_old = false;
+        Ok(())
+    }
+
+    /// What forces are computed from; call [`System::prepare`] first.
+    pub fn view(&self) -> View<'_, M::List> {
+        View { pbox: &self.pbox, particles: &self.particles, lists: &self.list }
+    }
+
+    /// Whether every interacting pair is certainly in the lists.
+    ///
+    /// A pair that is not was farther apart than range + skin; the box has shortened that distance to no less than
+    /// `stretch` times it, and the two points have since come closer by at most twice the largest travel.
+    fn lists_hold(&mut self) -> bool {
+        let range = self.model.range(self.largest_size);
+        let stretch =
+            if self.pbox == self.built_box { 1.0 } else { self.pbox.shortest_stretch(&self.built_box).min(1.0) };
+        let allowed = 0.5 * (stretch * (range + self.skin) - range);
+        if self.travel_bound > allowed {
+            let travel = |(now, then): (&Frac, &Frac)| norm(self.pbox.displacement(*now, *then));
+            let farthest = self.particles.position.iter().zip(&self.built_position).map(travel).fold(0.0, f64::max);
+            self.travel_bound = self.comm.max(farthest);
+        }
+        // the last tenth of the skin is not worth measuring at every step
+        self.travel_bound <= 0.9 * allowed
+    }
+
+    /// Hands particles to the owners of their centres, then collects the foreign points that the new lists name.
+    fn rebuild(&mut self) -> Result<(), EngineError> {
+        self.counters.rebuilds += 1;
+        self.particles.forget_foreign();
+        let centers = self.migrate();
+        let centers = self.sort_in_space(centers);
+        let owned = self.particles.len();
+        let owned_points = self.particles.owned_points();
+        let radius = (0..owned).map(|p| self.particles.circumradius(&self.pbox, p)).fold(0.0, f64::max);
+        let radius = self.comm.max(radius);
+        let widths = self.pbox.widths();
+        let halo = self.model.range(self.largest_size) + self.skin + 2.0 * radius;
+        // the box may have become smaller than foreseen
+        self.grid.check(&self.pbox, halo)?;
+        let margin = widths.map(|w| halo / w);
+        self.chunks = threads::chunks(&self.particles.bodies, owned);
+
+        let peers = self.grid.neighbors(self.comm.rank());
+        let offered: Vec<Vec<usize>> = peers
+            .iter()
+            .map(|&peer| (0..owned).filter(|&p| self.grid.is_near(peer, centers[p], margin)).collect())
+            .collect();
+        let foreign_of_peer = self.collect_foreign(&peers, &offered);
+
+        let candidates = Candidates {
+            pbox: &self.pbox,
+            particles: &self.particles,
+            owned,
+            region: self.grid.region(self.comm.rank(), margin),
+            chunks: &self.chunks,
+        };
+        self.list = self.model.list(&candidates, self.skin);
+        self.keep_named(owned, owned_points, &peers, &offered, &foreign_of_peer);
+
+        self.forces.clear();
+        self.forces.resize(owned_points, [0.0; 2]);
+        self.built_box = self.pbox;
+        self.built_position.clear();
+        self.built_position.extend_from_slice(&self.particles.position[..owned_points]);
+        self.travel_bound = 0.0;
+        self.stale = false;
+        Ok(())
+    }
+
+    /// Every particle to the rank that owns its centre; returns the centres. Particles travel one subdomain at a time,
+    /// so that only neighbours talk, however far one has moved.
+    fn migrate(&mut self) -> Vec<Frac> {
+        let rank = self.comm.rank();
+        let peers = self.grid.neighbors(rank);
+        loop {
+            let centers: Vec<Frac> = (0..self.particles.len()).map(|p| self.particles.center(&self.pbox, p)).collect();
+            let next: Vec<usize> = centers.iter().map(|&c| self.grid.towards(rank, self.grid.owner(c))).collect();
+            if !self.comm.any(next.iter().any(|&r| r != rank)) {
+                return centers;
+            }
+            let mut outgoing = vec![Vec::new(); peers.len()];
+            let mut staying = Vec::new();
+            for (p, &to) in next.iter().enumerate() {
+                match peers.binary_search(&to) {
+                    Ok(k) => {
+                        self.particles.pack(p, true, &mut outgoing[k]);
+                        self.counters.migrated += 1;
+                    }
+                    Err(_) => staying.push(p as u32),
+                }
+            }
+            self.particles = self.particles.reordered(&staying);
+            for message in self.comm.exchange(&peers, &outgoing) {
+                self.particles.unpack(&message, true);
+            }
+        }
+    }
+
+    /// Stores own particles cell by cell, so that neighbours in space are neighbours in memory.
+    fn sort_in_space(&mut self, centers: Vec<Frac>) -> Vec<Frac> {
+        let region = self.grid.region(self.comm.rank(), [0.0; 2]);
+        let spacing = (self.pbox.area() / (self.grid.ranks() * centers.len().max(1)) as f64).sqrt();
+        let cells = CellList::new(&self.pbox, &region, &centers, 2.0 * spacing);
+        let order = cells.in_cell_order();
+        if order.iter().enumerate().any(|(i, &p)| i != p as usize) {
+            self.particles = self.particles.reordered(order);
+            return order.iter().map(|&p| centers[p as usize]).collect();
+        }
+        centers
+    }
+
+    /// Appends whole foreign particles that may come near; returns for each peer the range of points it sent.
+    fn collect_foreign(&mut self, peers: &[usize], offered: &[Vec<usize>]) -> Vec<std::ops::Range<usize>> {
+        let outgoing: Vec<Vec<u64>> = offered
+            .iter()
+            .map(|particles| {
+                let mut message = Vec::new();
+                particles.iter().for_each(|&p| self.particles.pack(p, false, &mut message));
+                message
+            })
+            .collect();
+        let carried = std::mem::take(&mut self.particles.carried);
+        let ranges = self
+            .comm
+            .exchange(peers, &outgoing)
+            .iter()
+            .map(|message| {
+                let start = self.particles.position.len();
+                self.particles.unpack(message, false);
+                start..self.particles.position.len()
+            })
+            .collect();
+        self.particles.carried = carried;
+        ranges
+    }
+
+    /// Drops every foreign point that the list does not name, renumbers the list and settles the halo exchange.
+    fn keep_named(
+        &mut self,
+        owned: usize,
+        owned_points: usize,
+        peers: &[usize],
+        offered: &[Vec<usize>],
+        foreign_of_peer: &[std::ops::Range<usize>],
+    ) {
+        const UNNAMED: u32 = u32::MAX;
+        let all = &mut self.particles;
+        let mut number = vec![UNNAMED; all.position.len() - owned_points];
+        self.list.for_each_point(|point| {
+            if let Some(foreign) = (*point as usize).checked_sub(owned_points) {
+                number[foreign] = 0;
+            }
+        });
+        let mut kept = Vec::new();
+        let mut wanted = vec![Vec::new(); peers.len()];
+        for (range, wanted) in foreign_of_peer.iter().zip(&mut wanted) {
+            for point in range.clone() {
+                if number[point - owned_points] != UNNAMED {
+                    number[point - owned_points] = (owned_points + kept.len()) as u32;
+                    kept.push(point);
+                    wanted.push((point - range.start) as u32);
+                }
+            }
+        }
+        self.list.for_each_point(|point| {
+            if let Some(foreign) = (*point as usize).checked_sub(owned_points) {
+                *point = number[foreign];
+            }
+        });
+        let bodies = &all.bodies;
+        let mut particle = owned;
+        let foreign = kept.iter().map(|&point| {
+            while bodies.points(particle).end <= point {
+                particle += 1;
+            }
+            let index = (point - bodies.points(particle).start) as u32;
+            ForeignPoint { id: all.id[particle], index, size: all.size[particle] }
+        });
+        all.foreign = foreign.collect();
+        for (k, &point) in kept.iter().enumerate() {
+            all.position[owned_points + k] = all.position[point];
+        }
+        all.position.truncate(owned_points + kept.len());
+        all.id.truncate(owned);
+        all.size.truncate(owned);
+        if let Bodies::Polygons { first } = &mut all.bodies {
+            first.truncate(owned + 1);
+        }
+        // what a peer asks for is numbered in the order in which it was offered
+        let points = |particles: &Vec<usize>| -> Vec<u32> {
+            particles.iter().flat_map(|&p| all.bodies.points(p)).map(|point| point as u32).collect()
+        };
+        let offered: Vec<Vec<u32>> = offered.iter().map(points).collect();
+        self.halo = Halo::new(&self.comm, peers.to_vec(), &wanted, &offered, owned_points);
+    }
+
+    /// Energies and stresses of the present state. Collective.
+    pub fn energies(&mut self) -> Result<Energies, EngineError> {
+        let terms = self.terms()?;
+        let row = |t: &Terms| {
+            let [a, b, c, d] = t.virial;
+            let [e, f, g, h] = t.centroid;
+            [t.line, t.area, t.contact, a, b, c, d, e, f, g, h]
+        };
+        let [line, area, contact, v0, v1, v2, v3, c0, c1, c2, c3] = self.comm.sum_terms(terms.iter().map(row));
+        let per_area = |s: [f64; 4]| s.map(|x| x / self.pbox.area());
+        Ok(Energies {
+            total: line + area + contact,
+            line,
+            area,
+            contact,
+            virial: per_area([v0, v1, v2, v3]),
+            centroid: per_area([c0, c1, c2, c3]),
+        })
+    }
+
+    /// Energy and stress of each own particle.
+    pub fn terms(&mut self) -> Result<Vec<Terms>, EngineError> {
+        self.prepare()?;
+        let view = self.view();
+        let parts = threads::map(&self.chunks, |chunk| {
+            chunk.particles.clone().map(|p| self.model.terms(&view, p)).collect::<Vec<_>>()
+        });
+        Ok(parts.concat())
+    }
+
+    /// Density that protocols set: the sum of the areas that particles cover by themselves over the area of the box
+    /// (φ for disks, ρ with the shell for deformable particles). Collective.
+    pub fn density(&mut self) -> Result<f64, EngineError> {
+        Ok(self.own_area()? / self.pbox.area())
+    }
+
+    /// Sum of the areas that all particles cover by themselves. Collective.
+    pub fn own_area(&mut self) -> Result<f64, EngineError> {
+        self.prepare()?;
+        let view = self.view();
+        let areas: Vec<f64> = (0..self.particles.len()).map(|p| self.model.own_area(&view, p)).collect();
+        let [whole] = self.comm.sum_terms(areas.iter().map(|&a| [a]));
+        Ok(whole)
+    }
+
+    /// For each own particle the global ids of the particles it touches, ascending, each once, and the total force of
+    /// each contact on it.
+    pub fn contacts(&mut self) -> Result<Vec<Vec<(u32, Vec2)>>, EngineError> {
+        self.prepare()?;
+        let view = self.view();
+        let particles = &self.particles;
+        let mut particle_of = Vec::with_capacity(particles.owned_points());
+        for p in 0..particles.len() {
+            particle_of.resize(particles.bodies.points(p).end, p as u32);
+        }
+        let of = |p: usize| {
+            let mut found: Vec<(u32, Vec2)> = Vec::new();
+            self.model.for_each_contact(&view, p, |other, force| {
+                found.push((view.particle_id(other, &particle_of), force));
+            });
+            found.sort_by_key(|&(id, _)| id); // stable: the forces of one contact stay in their order
+            found.dedup_by(|later, first| {
+                let same = later.0 == first.0;
+                if same {
+                    first.1 = [first.1[0] + later.1[0], first.1[1] + later.1[1]];
+                }
+                same
+            });
+            found
+        };
+        let parts = threads::map(&self.chunks, |chunk| chunk.particles.clone().map(of).collect::<Vec<_>>());
+        Ok(parts.concat())
+    }
+
+    /// Refreshes a value per point from the owners, own points first; T is two words wide.
+    pub fn share<T: bytemuck::Pod + Default>(&mut self, own: Vec<T>) -> Vec<T> {
+        let mut values = own;
+        values.resize(self.particles.position.len(), T::default());
+        self.halo.update(&self.comm, &mut values);
+        values
+    }
+
+    /// Global id of the lowest-numbered particle with a point whose force is not below `limit`, if there is one.
+    pub fn offender(&self, limit: f64) -> Option<u32> {
+        let bad = |p: &usize| {
+            let points = self.particles.bodies.points(*p);
+            // not "≥": NaN offends too
+            self.forces[points].iter().any(|&f| !(norm(f) < limit))
+        };
+        let here = (0..self.particles.len()).filter(bad).map(|p| self.particles.id[p]).min();
+        let lowest = -self.comm.max(-here.map_or(f64::INFINITY, f64::from));
+        lowest.is_finite().then_some(lowest as u32)
+    }
+}

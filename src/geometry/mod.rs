@@ -1,0 +1,49 @@
+//! Points, boxes, segments, polygons and disks in the periodic plane.
+//!
+//! Everything here is pure: no particle, no potential, no rank is known in this room.
+
+mod disk_cut;
+mod frac;
+mod periodic_box;
+mod polygon;
+mod segment;
+
+pub use disk_cut::{DiskCut, cut_disk};
+pub use frac::Frac;
+pub use periodic_box::{PeriodicBox, Region};
+pub use polygon::Polygon;
+pub use segment::{closest_on_segment, segments_cross};
+
+/// A vector in the plane, components along x and y, in the scene's unit of length unless said otherwise.
+pub type Vec2 = [f64; 2];
+
+#[inline(always)]
+pub fn add(a: Vec2, b: Vec2) -> Vec2 {
+    [a[0] + b[0], a[1] + b[1]]
+}
+
+#[inline(always)]
+pub fn sub(a: Vec2, b: Vec2) -> Vec2 {
+    [a[0] - b[0], a[1] - b[1]]
+}
+
+#[inline(always)]
+pub fn scale(s: f64, a: Vec2) -> Vec2 {
+    [s * a[0], s * a[1]]
+}
+
+#[inline(always)]
+pub fn dot(a: Vec2, b: Vec2) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+/// z component of the cross product: positive when `b` lies counter-clockwise of `a`.
+#[inline(always)]
+pub fn cross(a: Vec2, b: Vec2) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
+}
+
+#[inline(always)]
+pub fn norm(a: Vec2) -> f64 {
+    dot(a, a).sqrt()
+}

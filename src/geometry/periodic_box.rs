@@ -1,0 +1,191 @@
+use super::frac::PERIOD;
+use super::{Frac, Vec2};
+use nalgebra::Matrix2;
+
+/// The periodic cell a₁ = (lx, 0), a₂ = (xy, ly).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PeriodicBox {
+    lx: f64,
+    ly: f64,
+    xy: f64,
+    /// lx, xy, ly over 2⁶⁴: raw fixed-point differences times these are lengths.
+    unit: [f64; 3],
+    /// 1/lx, 1/ly times 2⁶⁴, and xy/ly.
+    inverse: [f64; 3],
+}
+
+/// The part of the periodic box whose points are binned: fractions `center ± span/2` along each box vector; a span of
+/// 1 or more is the whole axis, with its periodic images.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Region {
+    pub center: Frac,
+    pub span: [f64; 2],
+}
+
+impl Region {
+    pub fn whole() -> Self {
+        Region { center: Frac::from_fractions([0.5, 0.5]), span: [1.0; 2] }
+    }
+}
+
+impl PeriodicBox {
+    /// A cell with edge vectors (lx, 0) and (xy, ly); lx, ly > 0.
+    pub fn new(lx: f64, ly: f64, xy: f64) -> Self {
+        PeriodicBox {
+            lx,
+            ly,
+            xy,
+            unit: [lx / PERIOD, xy / PERIOD, ly / PERIOD],
+            inverse: [PERIOD / lx, PERIOD / ly, xy / ly],
+        }
+    }
+
+    pub fn square(edge: f64) -> Self {
+        Self::new(edge, edge, 0.0)
+    }
+
+    pub fn lx(&self) -> f64 {
+        self.lx
+    }
+
+    pub fn ly(&self) -> f64 {
+        self.ly
+    }
+
+    /// x component of the second box vector.
+    pub fn xy(&self) -> f64 {
+        self.xy
+    }
+
+    pub fn area(&self) -> f64 {
+        self.lx * self.ly
+    }
+
+    /// Box matrix, box vectors as columns.
+    pub fn matrix(&self) -> Matrix2<f64> {
+        Matrix2::new(self.lx, self.xy, 0.0, self.ly)
+    }
+
+    /// Distances between opposite faces along the two fractional axes. Two points less than half the smaller width
+    /// apart have their nearest image found by wrapping the fractions.
+    pub fn widths(&self) -> [f64; 2] {
+        [self.area() / self.xy.hypot(self.ly), self.ly]
+    }
+
+    /// The same shape at another area.
+    pub fn with_area(&self, area: f64) -> Self {
+        let s = (area / self.area()).sqrt();
+        Self::new(s * self.lx, s * self.ly, s * self.xy)
+    }
+
+    /// Nearest-image vector a − b.
+    #[inline(always)]
+    pub fn displacement(&self, a: Frac, b: Frac) -> Vec2 {
+        let d = a.minus(b);
+        let (x, y) = (d[0] as f64, d[1] as f64);
+        [x * self.unit[0] + y * self.unit[1], y * self.unit[2]]
+    }
+
+    /// The point `a` moved by a Cartesian vector, rounded to the resolution of `Frac`.
+    #[inline(always)]
+    pub fn moved(&self, a: Frac, by: Vec2) -> Frac {
+        a.plus(self.raw(by))
+    }
+
+    /// A Cartesian vector shorter than half the box in raw fixed-point units.
+    #[inline(always)]
+    fn raw(&self, v: Vec2) -> [i64; 2] {
+        let x = (v[0] - v[1] * self.inverse[2]) * self.inverse[0];
+        let y = v[1] * self.inverse[1];
+        [x.round_ties_even() as i64, y.round_ties_even() as i64]
+    }
+
+    /// Cartesian position in the cell, both fractions in [0, 1).
+    pub fn position(&self, a: Frac) -> Vec2 {
+        let f = a.fractions();
+        [f[0] * self.lx + f[1] * self.xy, f[1] * self.ly]
+    }
+
+    /// The point at a Cartesian position in any periodic image. Divisions carry their remainder, so that the result is
+    /// the given number to the resolution of `Frac` and forces are those at the given coordinates.
+    pub fn frac(&self, position: Vec2) -> Frac {
+        let (y, y_rest) = divide(position[1], self.ly);
+        let shift = y * self.xy;
+        let shift_rest = y.mul_add(self.xy, -shift) + y_rest * self.xy;
+        let x_rounded = position[0] - shift;
+        let x_error = two_sum_tail(position[0], -shift, x_rounded) - shift_rest;
+        let (x, x_rest) = divide(x_rounded, self.lx);
+        let rest = [(x_rest + x_error / self.lx) * PERIOD, y_rest * PERIOD];
+        Frac::from_fractions([x, y]).plus(rest.map(|r| r.round_ties_even() as i64))
+    }
+
+    /// Smallest factor by which the change from `before` to this box shortens any distance that moves affinely with it.
+    pub fn shortest_stretch(&self, before: &PeriodicBox) -> f64 {
+        let deformation = self.matrix() * inverse(before);
+        deformation.singular_values().min()
+    }
+}
+
+fn inverse(b: &PeriodicBox) -> Matrix2<f64> {
+    Matrix2::new(1.0 / b.lx, -b.xy / (b.lx * b.ly), 0.0, 1.0 / b.ly)
+}
+
+/// a/b as a rounded quotient and what the rounding left.
+fn divide(a: f64, b: f64) -> (f64, f64) {
+    let q = a / b;
+    (q, (-q).mul_add(b, a) / b)
+}
+
+/// The rounding error of s = a + b.
+fn two_sum_tail(a: f64, b: f64, s: f64) -> f64 {
+    let bb = s - a;
+    (a - (s - bb)) + (b - bb)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn displacement_undoes_a_move(f: [i64; 2], dx in -2.0..2.0f64, dy in -2.0..2.0f64, xy in -4.0..4.0f64) {
+            let b = PeriodicBox::new(9.0, 8.0, xy);
+            let a = Frac::from_bits(f);
+            let d = b.displacement(b.moved(a, [dx, dy]), a);
+            prop_assert!((d[0] - dx).abs() < 1e-14 && (d[1] - dy).abs() < 1e-14);
+        }
+
+        #[test]
+        fn cartesian_positions_survive(x in -30.0..30.0f64, y in -30.0..30.0f64, xy in -4.0..4.0f64) {
+            let b = PeriodicBox::new(9.0, 8.0, xy);
+            let p = b.position(b.frac([x, y]));
+            // equal up to whole box vectors
+            let v = (y - p[1]) / 8.0;
+            let u = (x - p[0] - v.round() * xy) / 9.0;
+            prop_assert!((u - u.round()).abs() < 1e-13 && (v - v.round()).abs() < 1e-13);
+        }
+    }
+
+    #[test]
+    fn differences_of_given_coordinates_keep_their_last_digits() {
+        // two points whose distance is known to 1e-19 although their coordinates are of order 3
+        for xy in [0.0, 1.3184448772660222] {
+            let b = PeriodicBox::new(2.8052018665234515, 2.8052018665234515, xy);
+            let (p, q) = ([2.472579703712418, 2.179939813766941], [2.3968197584549253, 2.071053059664813]);
+            let d = b.displacement(b.frac(p), b.frac(q));
+            assert!((d[0] - (p[0] - q[0])).abs() < 2e-17, "{}", d[0] - (p[0] - q[0]));
+            assert!((d[1] - (p[1] - q[1])).abs() < 2e-17);
+        }
+    }
+
+    #[test]
+    fn shear_keeps_area_and_narrows_the_box() {
+        let b = PeriodicBox::new(2.0, 1.0, 1.0);
+        assert_eq!(b.area(), 2.0);
+        assert!((b.widths()[0] - 2.0f64.sqrt()).abs() < 1e-15);
+        let s = b.shortest_stretch(&PeriodicBox::new(2.0, 1.0, 0.0));
+        assert!((s - 0.618033988749895).abs() < 1e-12); // simple shear by 1: the golden ratio
+        assert!((b.with_area(0.5).shortest_stretch(&b) - 0.5).abs() < 1e-15);
+    }
+}

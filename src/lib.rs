@@ -1,0 +1,13 @@
+//! Jammed packings of soft and deformable particles in two dimensions.
+pub mod comm;
+pub mod decomposition;
+pub mod engine;
+pub mod geometry;
+pub mod minimize;
+pub mod model;
+pub mod neighbor;
+pub mod output;
+pub mod particles;
+pub mod protocol;
+pub mod scene;
+pub mod threads;

@@ -1,0 +1,182 @@
+use super::{Harmonic, Model, Terms, View, add_outer};
+use crate::geometry::{Polygon, Vec2, cross, dot, norm, scale, sub};
+use crate::neighbor::{Candidates, PointList};
+use crate::particles::Bodies;
+use std::f64::consts::PI;
+use std::ops::Range;
+
+/// Constants of the deformable particle model (paper, Eq. 7).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DeformableParameters {
+    /// γ, energy per length of outline.
+    pub line_tension: f64,
+    /// k_a, stiffness of the particle areas.
+    pub k_area: f64,
+    /// Contact energy scale ε and width δ of the circulo-lines.
+    pub contact: Harmonic,
+    /// Largest a₀/N_v of any particle: it sets the stiffest area mode.
+    pub largest_area_per_vertex: f64,
+}
+
+/// How the outlines of two particles repel each other.
+pub trait Contact: Send + Sync {
+    type List: PointList + Default;
+
+    /// All pairs of outline parts closer than `range`.
+    fn list(candidates: &Candidates, range: f64) -> Self::List;
+
+    /// Visits every touch between own particle `particle` and another, from this particle's side.
+    fn for_each_touch(law: Harmonic, view: &View<Self::List>, particle: usize, visit: impl FnMut(Touch));
+}
+
+/// One contribution of a contact as felt by one of the two particles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Touch {
+    /// Our points that share the force, counted from the particle's first point, with their weights (sum 1).
+    pub ours: [(usize, f64); 2],
+    /// A point of the other particle.
+    pub other: u32,
+    /// Force on us.
+    pub force: Vec2,
+    /// Vector from the point of the other outline to that of ours.
+    pub separation: Vec2,
+    /// Energy of the whole contribution (both particles together); negative where it corrects a corner counted twice.
+    pub energy: f64,
+}
+
+/// Deformable particles (DP model, paper Eq. 7): U = γ Σ p + k_a/2 Σ (a − a₀)² + contacts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Deformable<C> {
+    pub parameters: DeformableParameters,
+    contact: std::marker::PhantomData<C>,
+}
+
+impl<C: Contact> Deformable<C> {
+    pub fn new(parameters: DeformableParameters) -> Self {
+        Deformable { parameters, contact: std::marker::PhantomData }
+    }
+
+    /// Line tension and area forces of one particle, written to `forces`.
+    ///
+    /// With edge vectors e_i from vertex i to i + 1: −∂(γp)/∂x_i = γ(ê_i − ê_{i−1}), and ∂a/∂x_i is half the chord
+    /// e_{i−1} + e_i turned by −90°. The array first holds the edges, so that no scratch space is needed.
+    fn shape_forces(&self, view: &View<C::List>, particle: usize, forces: &mut [Vec2]) {
+        let points = view.particles.points_of(particle);
+        let n = points.len();
+        let mut corner = [0.0; 2];
+        let mut area2 = 0.0;
+        for i in 0..n {
+            let next = if i + 1 < n { i + 1 } else { 0 };
+            let edge = view.pbox.displacement(points[next], points[i]);
+            area2 += cross(corner, edge);
+            corner = [corner[0] + edge[0], corner[1] + edge[1]];
+            forces[i] = edge;
+        }
+        let half_pressure = 0.5 * self.parameters.k_area * (view.particles.size[particle] - 0.5 * area2);
+        let last = forces[n - 1];
+        let tension = |e: Vec2| {
+            let length = norm(e);
+            if length > 0.0 { self.parameters.line_tension / length } else { 0.0 }
+        };
+        let last_pull = tension(last);
+        let (mut after, mut after_pull) = (last, last_pull);
+        for i in (0..n).rev() {
+            let (before, before_pull) = if i > 0 { (forces[i - 1], tension(forces[i - 1])) } else { (last, last_pull) };
+            forces[i] = [
+                after_pull * after[0] - before_pull * before[0] + half_pressure * (after[1] + before[1]),
+                after_pull * after[1] - before_pull * before[1] - half_pressure * (after[0] + before[0]),
+            ];
+            (after, after_pull) = (before, before_pull);
+        }
+    }
+}
+
+impl<C: Contact> Model for Deformable<C> {
+    type List = C::List;
+
+    fn bodies(&self) -> Bodies {
+        Bodies::Polygons { first: vec![0] }
+    }
+
+    fn range(&self, _largest_size: f64) -> f64 {
+        self.parameters.contact.delta
+    }
+
+    fn list(&self, candidates: &Candidates, skin: f64) -> C::List {
+        C::list(candidates, self.parameters.contact.delta + skin)
+    }
+
+    fn forces(&self, view: &View<C::List>, particles: Range<usize>, forces: &mut [Vec2]) {
+        let origin = view.particles.bodies.points(particles.start).start;
+        for p in particles {
+            let points = view.particles.bodies.points(p);
+            let mine = &mut forces[points.start - origin..points.end - origin];
+            self.shape_forces(view, p, mine);
+            C::for_each_touch(self.parameters.contact, view, p, |touch| {
+                for (point, weight) in touch.ours {
+                    mine[point][0] += weight * touch.force[0];
+                    mine[point][1] += weight * touch.force[1];
+                }
+            });
+        }
+    }
+
+    fn terms(&self, view: &View<C::List>, p: usize) -> Terms {
+        let DeformableParameters { line_tension, k_area, contact, .. } = self.parameters;
+        let polygon = Polygon::from_vertices(view.pbox, view.particles.points_of(p));
+        let area = polygon.area();
+        let excess = area - view.particles.size[p];
+        let mut terms = Terms {
+            line: line_tension * polygon.perimeter(),
+            area: 0.5 * k_area * excess * excess,
+            ..Terms::default()
+        };
+        for &edge in polygon.edges.iter().filter(|&&e| dot(e, e) > 0.0) {
+            add_outer(&mut terms.virial, -line_tension / norm(edge), edge, edge);
+        }
+        // ∂a/∂strain = a times the identity
+        terms.virial[0] -= k_area * excess * area;
+        terms.virial[3] -= k_area * excess * area;
+        let center = polygon.centroid();
+        let offsets: Vec<Vec2> = polygon.offsets().collect();
+        C::for_each_touch(contact, view, p, |touch| {
+            terms.contact += 0.5 * touch.energy;
+            add_outer(&mut terms.virial, 0.5, touch.force, touch.separation);
+            add_outer(&mut terms.centroid, 0.5, touch.force, touch.separation);
+            // r_m − r_n = (r_m − x) + (x − y) + (y − r_n): each particle adds its own leg, the middle one is shared
+            for (point, weight) in touch.ours {
+                add_outer(&mut terms.centroid, weight, touch.force, sub(center, offsets[point]));
+            }
+        });
+        terms
+    }
+
+    fn for_each_contact(&self, view: &View<C::List>, p: usize, mut visit: impl FnMut(u32, Vec2)) {
+        C::for_each_touch(self.parameters.contact, view, p, |touch| visit(touch.other, touch.force));
+    }
+
+    fn own_area(&self, view: &View<C::List>, p: usize) -> f64 {
+        Polygon::from_vertices(view.pbox, view.particles.points_of(p)).rounded_area(self.parameters.contact.delta)
+    }
+
+    fn time_step(&self) -> f64 {
+        // 1/ω_max with ω_max² = 4ε/δ² + 4π k_a a₀/N_v + 16γ, the stiffest contact, area and line modes (l = 1, m = 1);
+        // larger steps fail
+        let DeformableParameters { line_tension, k_area, contact, largest_area_per_vertex } = self.parameters;
+        let stiffness = 4.0 * contact.epsilon / (contact.delta * contact.delta)
+            + 4.0 * PI * k_area * largest_area_per_vertex
+            + 16.0 * line_tension;
+        1.0 / stiffness.sqrt()
+    }
+
+    fn step_cap(&self) -> f64 {
+        0.1 * self.parameters.contact.delta
+    }
+}
+
+/// A touch of our points `ours` by the outline of another particle at vector `separation` (towards us) and length `d`.
+#[inline(always)]
+pub(super) fn touch(law: Harmonic, sign: f64, ours: [(usize, f64); 2], other: u32, separation: Vec2, d: f64) -> Touch {
+    let strength = if d > 0.0 { sign * law.force_over_distance(d) } else { 0.0 };
+    Touch { ours, other, force: scale(strength, separation), separation, energy: sign * law.energy(d) }
+}

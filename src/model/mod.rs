@@ -1,0 +1,125 @@
+//! Energies and forces. A model sees positions, a box and a neighbour list; it never hears of ranks.
+
+mod deformable;
+mod edge_edge;
+mod soft_disks;
+mod vertex_edge;
+
+pub use deformable::{Contact, Deformable, DeformableParameters};
+pub use edge_edge::EdgeEdge;
+pub use soft_disks::SoftDisks;
+pub use vertex_edge::VertexEdge;
+
+use crate::geometry::{Frac, PeriodicBox, Vec2};
+use crate::neighbor::{Candidates, PointList};
+use crate::particles::{Bodies, Particles};
+use std::ops::Range;
+
+/// What forces are computed from.
+pub struct View<'a, L> {
+    pub pbox: &'a PeriodicBox,
+    pub particles: &'a Particles,
+    pub lists: &'a L,
+}
+
+impl<L> View<'_, L> {
+    /// Nearest-image vector from point b to point a.
+    #[inline(always)]
+    pub fn displacement(&self, a: u32, b: u32) -> Vec2 {
+        self.pbox.displacement(self.position(a), self.position(b))
+    }
+
+    #[inline(always)]
+    pub fn position(&self, point: u32) -> Frac {
+        self.particles.position[point as usize]
+    }
+
+    /// Global id of the particle that a foreign or own point belongs to.
+    pub fn particle_id(&self, point: u32, particle_of: &[u32]) -> u32 {
+        let owned = self.particles.owned_points();
+        match (point as usize).checked_sub(owned) {
+            Some(foreign) => self.particles.foreign[foreign].id,
+            None => self.particles.id[particle_of[point as usize] as usize],
+        }
+    }
+}
+
+/// One particle's share of energy and stress; the sum over all particles is the total.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Terms {
+    /// Line tension times perimeter.
+    pub line: f64,
+    /// Area term.
+    pub area: f64,
+    /// Half the energy of each of its contacts.
+    pub contact: f64,
+    /// −∂U/∂strain of all terms, in the order xx, xy, yx, yy: energy units, to be divided by the box area.
+    pub virial: [f64; 4],
+    /// Σ f ⊗ (distance of area centroids) of its halves of the contacts, same order and unit.
+    pub centroid: [f64; 4],
+}
+
+/// An energy that is a function of positions alone and has a force everywhere: what the minimisers ask for.
+pub trait Model: Send + Sync {
+    type List: PointList + Default;
+
+    /// The kind of particles it acts on.
+    fn bodies(&self) -> Bodies;
+
+    /// Largest distance at which points of two particles still interact: what a neighbour list must never miss.
+    /// `largest_size` is the largest particle size on any rank.
+    fn range(&self, largest_size: f64) -> f64;
+
+    /// The neighbour list of all points closer than their range plus `skin`.
+    fn list(&self, candidates: &Candidates, skin: f64) -> Self::List;
+
+    /// Forces on the points of a run of own particles (written, not added), each summed in the order of global ids.
+    fn forces(&self, view: &View<Self::List>, particles: Range<usize>, forces: &mut [Vec2]);
+
+    /// Energy and stress of one own particle.
+    fn terms(&self, view: &View<Self::List>, particle: usize) -> Terms;
+
+    /// Visits the points of other particles that own particle `particle` is in contact with (repetitions allowed),
+    /// with the force that the contact exerts on `particle`.
+    fn for_each_contact(&self, view: &View<Self::List>, particle: usize, visit: impl FnMut(u32, Vec2));
+
+    /// Area that own particle `particle` covers by itself: π σ²/4 of a disk, polygon and shell of a deformable one.
+    /// Their sum over the area of the box is the density that protocols set (φ for disks, ρ for deformable particles).
+    fn own_area(&self, view: &View<Self::List>, particle: usize) -> f64;
+
+    /// Largest time step that is safe for unit masses, from a bound on the stiffest mode.
+    fn time_step(&self) -> f64;
+
+    /// Largest displacement of a point in one minimiser step.
+    fn step_cap(&self) -> f64;
+}
+
+/// The purely repulsive law of a contact at distance d: φ(d) = ε/2 (1 − d/δ)² for d < δ (paper, Eqs. 5 and 8).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Harmonic {
+    pub epsilon: f64,
+    pub delta: f64,
+}
+
+impl Harmonic {
+    #[inline(always)]
+    pub fn energy(&self, d: f64) -> f64 {
+        let gap = 1.0 - d / self.delta;
+        0.5 * self.epsilon * gap * gap
+    }
+
+    /// −φ′(d)/d: times the separation vector it is the repulsive force.
+    #[inline(always)]
+    pub fn force_over_distance(&self, d: f64) -> f64 {
+        self.epsilon * (1.0 - d / self.delta) / (self.delta * d)
+    }
+}
+
+/// f ⊗ r in the order xx, xy, yx, yy, added to a tensor.
+#[inline(always)]
+fn add_outer(tensor: &mut [f64; 4], weight: f64, f: Vec2, r: Vec2) {
+    tensor[0] += weight * (f[0] * r[0]);
+    tensor[1] += weight * (f[0] * r[1]);
+    tensor[2] += weight * (f[1] * r[0]);
+    tensor[3] += weight * (f[1] * r[1]);
+}

@@ -1,0 +1,57 @@
+use super::{Candidates, EdgeCells, PointList, Rows};
+use crate::geometry::{closest_on_segment, dot, scale, segments_cross, sub};
+
+/// An edge of another particle near one of ours.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EdgePair {
+    /// End points of the other edge.
+    pub ends: [u32; 2],
+    /// Whether our particle has the smaller global id: both owners evaluate the pair in that order.
+    pub ours_first: bool,
+}
+
+/// For each own edge (named by its first end) the edges of other polygons within a range, in the order of global ids.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EdgeEdgeList {
+    pub edges: Rows<EdgePair>,
+}
+
+impl EdgeEdgeList {
+    /// All pairs of edges closer than `range`; crossing ones are at distance zero.
+    pub fn new(candidates: &Candidates, range: f64) -> Self {
+        let cells = EdgeCells::new(candidates, range, 2.0);
+        let particles = candidates.particles;
+        let edges = cells.rows_of_own_edges(|own, found| {
+            cells.by_midpoint.for_each_near(cells.midpoints[own.ends[0] as usize], |e| {
+                let other = &cells.edges[e as usize];
+                if other.particle != own.particle && is_near(&cells, own, other, range) {
+                    let ours_first = particles.id[own.particle as usize] < particles.id[other.particle as usize];
+                    found.push((cells.order(other), EdgePair { ends: other.ends, ours_first }));
+                }
+            });
+        });
+        EdgeEdgeList { edges }
+    }
+}
+
+/// Whether two edges come closer than `range`, or cross.
+fn is_near(cells: &EdgeCells, a: &super::Edge, b: &super::Edge, range: f64) -> bool {
+    let position = &cells.candidates.particles.position;
+    let apart = cells.candidates.pbox.displacement(position[b.ends[0] as usize], position[a.ends[0] as usize]);
+    let (u, v) = (cells.vector(a), cells.vector(b));
+    let near = |from_start, edge| {
+        let d = sub(from_start, scale(closest_on_segment(from_start, edge), edge));
+        dot(d, d) < range * range
+    };
+    near(apart, u)
+        || near([apart[0] + v[0], apart[1] + v[1]], u)
+        || near([-apart[0], -apart[1]], v)
+        || near(sub(u, apart), v)
+        || segments_cross(apart, u, v)
+}
+
+impl PointList for EdgeEdgeList {
+    fn for_each_point(&mut self, visit: impl FnMut(&mut u32)) {
+        self.edges.items.iter_mut().flat_map(|pair| &mut pair.ends).for_each(visit);
+    }
+}

@@ -1,0 +1,58 @@
+use super::ProtocolError;
+use crate::engine::System;
+use crate::minimize::{Goal, Minimized, Minimizer, Report};
+use crate::model::Model;
+
+/// Densities at which a compression is sampled.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Increments {
+    /// These distances above the onset, ascending.
+    Above(Vec<f64>),
+    /// Steps of a given size from the onset up to a density.
+    Until { density: f64, step: f64 },
+}
+
+impl Increments {
+    /// The densities to visit, ascending, for a packing whose onset is at `onset`.
+    pub fn densities(&self, onset: f64) -> Vec<f64> {
+        match self {
+            Increments::Above(increments) => increments.iter().map(|d| onset + d).collect(),
+            Increments::Until { density, step } => {
+                let n = ((density - onset) / step).ceil().max(0.0) as usize;
+                (1..=n).map(|k| (onset + k as f64 * step).min(*density)).collect()
+            }
+        }
+    }
+}
+
+/// Sets the density of the present particles by changing the box (centres move affinely, particles as rigid wholes),
+/// then minimises. The density after that differs a little for deformable particles, whose shells grow as they deform.
+pub fn compress_to<M: Model>(
+    system: &mut System<M>,
+    minimizer: &impl Minimizer,
+    goal: &Goal,
+    density: f64,
+) -> Result<Report, ProtocolError> {
+    let area = system.own_area()? / density;
+    let pbox = system.pbox().with_area(area);
+    system.deform_rigidly(pbox);
+    match minimizer.minimize(system, goal)? {
+        Minimized::Converged(report) => Ok(report),
+        Minimized::Unconverged(report) => Err(ProtocolError::Unconverged { density, report }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn densities_ascend_to_the_end() {
+        let until = Increments::Until { density: 0.95, step: 0.04 };
+        let d = until.densities(0.84);
+        assert_eq!(d.len(), 3);
+        assert!((d[0] - 0.88).abs() < 1e-15 && d[2] == 0.95);
+        assert!(until.densities(0.96).is_empty());
+        assert_eq!(Increments::Above(vec![0.01, 0.1]).densities(0.5), [0.51, 0.6]);
+    }
+}
