@@ -1,7 +1,10 @@
 //! Jammed packings of soft and deformable particles in two dimensions.
+pub mod cli;
 pub mod comm;
+pub mod commands;
 pub mod decomposition;
 pub mod engine;
+pub mod failure;
 pub mod geometry;
 pub mod minimize;
 pub mod model;
@@ -9,5 +12,6 @@ pub mod neighbor;
 pub mod output;
 pub mod particles;
 pub mod protocol;
+pub mod run;
 pub mod scene;
 pub mod threads;
