@@ -7,6 +7,7 @@ use crate::failure::exit;
 use crate::scene::ColorBy;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
+use tracing_subscriber::EnvFilter;
 
 /// The flags as given.
 #[derive(Debug, Parser)]
@@ -29,11 +30,7 @@ pub struct Cli {
     pub settings: Settings,
 }
 
-/// `0.1.0 (git hash)`, the hash where the program was built in a checkout.
-const VERSION: &str = match option_env!("JAMHPC_GIT_HASH") {
-    Some(hash) => hash,
-    None => env!("CARGO_PKG_VERSION"),
-};
+const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("JAMHPC_GIT_HASH"), ")");
 
 const LONG_ABOUT: &str = "\
 Jammed packings of soft disks and deformable particles in two dimensions.
@@ -89,9 +86,9 @@ pub enum Command {
         /// Where to write the relaxed configuration
         #[arg(short, long, value_name = "OUT")]
         output: PathBuf,
-        /// Relaxed when no force is above this, in epsilon/sigma_S (sp) or gamma (dp)
-        #[arg(long, value_name = "F", value_parser = positive)]
-        force_tolerance: Option<f64>,
+        /// Relaxed when no force is above this, in the units of the configuration
+        #[arg(long, value_name = "F", default_value = "1e-9", value_parser = positive)]
+        force_tolerance: f64,
         /// Give up after this many iterations
         #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = clap::value_parser!(u64).range(1..))]
         max_iterations: u64,
@@ -148,8 +145,8 @@ pub struct Settings {
     #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
     /// Which logs: error, warn, info, debug, trace or a filter such as jamhpc=debug [default: warn, for json info]
-    #[arg(long, global = true, value_name = "LEVEL", env = "JAMHPC_LOG")]
-    pub log_level: Option<tracing_subscriber::EnvFilter>,
+    #[arg(long, global = true, value_name = "LEVEL", env = "JAMHPC_LOG", value_parser = log_filter)]
+    pub log_level: Option<EnvFilter>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -183,6 +180,11 @@ fn positive(text: &str) -> Result<f64, String> {
         Ok(x) if x > 0.0 && x.is_finite() => Ok(x),
         _ => Err("give a number above 0, such as 1e-9".into()),
     }
+}
+
+/// The filter's own `FromStr` passes over what it does not understand.
+fn log_filter(text: &str) -> Result<EnvFilter, String> {
+    EnvFilter::try_new(text).map_err(|e| e.to_string())
 }
 
 /// The flags, or the exit code after usage, help or a complaint has been printed once. Collective.
