@@ -9,6 +9,7 @@ pub mod geometry;
 pub mod minimize;
 pub mod model;
 pub mod neighbor;
+pub mod observe;
 pub mod output;
 pub mod particles;
 pub mod protocol;
