@@ -563,8 +563,7 @@ impl<M: Model> System<M> {
     pub fn offender(&self, limit: f64) -> Option<u32> {
         let bad = |p: &usize| {
             let points = self.particles.bodies.points(*p);
-            // not "≥": NaN offends too
-            self.forces[points].iter().any(|&f| !(norm(f) < limit))
+            self.forces[points].iter().any(|&f| norm(f).is_nan() || norm(f) >= limit)
         };
         let here = (0..self.particles.len()).filter(bad).map(|p| self.particles.id[p]).min();
         let lowest = -self.comm.max(-here.map_or(f64::INFINITY, f64::from));

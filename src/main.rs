@@ -22,15 +22,15 @@ fn main() {
         let d = random_disks(&comm, &sp, seed, |s| s.size);
         let mut sys =
             System::new(comm, SoftDisks { epsilon: 1.0, smallest: 1.0 }, pbox, &pbox.with_area(area), d, 0.3).unwrap();
-        let goal = Goal { force_tolerance: 1e-13, max_iterations: 1000000 };
+        let goal = Goal { force_tolerance: 1e-13, max_iterations: 1000000, stop_when_free: false };
         let on = find_onset(
             &mut sys,
             &Fire::default(),
             &goal,
-            &OnsetSearch { step: 0.02, smallest_step: 1e-12, pressure: [1e-10, 1e-8] },
+            &OnsetSearch { step: 0.04, smallest_step: 1e-12, pressure: [1e-10, 1e-8] },
             |d, e, r| {
                 if root {
-                    println!("{d:.9} {:.3e} {}", e.pressure(), r.iterations)
+                    println!("{d:.9} {:.3e} it {} f {}", e.pressure(), r.iterations, r.force_evaluations)
                 }
             },
         )
@@ -60,16 +60,16 @@ fn main() {
         let skin: f64 = a[5].parse().unwrap();
         let mut sys =
             System::new(comm, Deformable::<VertexEdge>::new(par), pbox, &pbox.with_area(area), p, skin).unwrap();
-        let goal = Goal { force_tolerance: 1e-9, max_iterations: 1000000 };
-        let f = Fire { time_step_factor: a[6].parse().unwrap() };
+        let goal = Goal { force_tolerance: 1e-9, max_iterations: 1000000, stop_when_free: false };
+        let f = Fire::default();
         let on = find_onset(
             &mut sys,
             &f,
             &goal,
-            &OnsetSearch { step: 0.02, smallest_step: 1e-12, pressure: [1e-7, 1e-5] },
+            &OnsetSearch { step: 0.04, smallest_step: 1e-12, pressure: [1e-7, 1e-5] },
             |d, e, r| {
                 if root {
-                    println!("{d:.9} {:.3e} {}", e.pressure(), r.iterations)
+                    println!("{d:.9} {:.3e} it {} f {}", e.pressure(), r.iterations, r.force_evaluations)
                 }
             },
         )
