@@ -4,10 +4,11 @@
 use crate::comm::{Comm, Halo};
 use crate::decomposition::{ProcessGrid, TooManyRanks};
 use crate::geometry::{Frac, PeriodicBox, Vec2, norm};
-use crate::model::{Model, Terms, View};
+use crate::model::{Model, Outline, Terms, View};
 use crate::neighbor::{Candidates, CellList, PointList};
 use crate::particles::{Bodies, ForeignPoint, Particles};
 use crate::threads::{self, Chunk};
+use std::ops::Range;
 
 /// Why a system cannot be set up or continued. All ranks get the same value.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -323,12 +324,10 @@ impl<M: Model> System<M> {
         let margin = widths.map(|w| halo / w);
         self.chunks = threads::chunks(&self.particles.bodies, owned);
 
-        let peers = self.grid.neighbors(self.comm.rank());
-        let offered: Vec<Vec<usize>> = peers
-            .iter()
-            .map(|&peer| (0..owned).filter(|&p| self.grid.is_near(peer, centers[p], margin)).collect())
-            .collect();
-        let foreign_of_peer = self.collect_foreign(&peers, &offered);
+        let carried = std::mem::take(&mut self.particles.carried);
+        let Offers { peers, offered, foreign_of_peer } =
+            collect_foreign(&self.comm, &self.grid, margin, &centers, &mut self.particles);
+        self.particles.carried = carried;
 
         let candidates = Candidates {
             pbox: &self.pbox,
@@ -392,31 +391,6 @@ impl<M: Model> System<M> {
         centers
     }
 
-    /// Appends whole foreign particles that may come near; returns for each peer the range of points it sent.
-    fn collect_foreign(&mut self, peers: &[usize], offered: &[Vec<usize>]) -> Vec<std::ops::Range<usize>> {
-        let outgoing: Vec<Vec<u64>> = offered
-            .iter()
-            .map(|particles| {
-                let mut message = Vec::new();
-                particles.iter().for_each(|&p| self.particles.pack(p, false, &mut message));
-                message
-            })
-            .collect();
-        let carried = std::mem::take(&mut self.particles.carried);
-        let ranges = self
-            .comm
-            .exchange(peers, &outgoing)
-            .iter()
-            .map(|message| {
-                let start = self.particles.position.len();
-                self.particles.unpack(message, false);
-                start..self.particles.position.len()
-            })
-            .collect();
-        self.particles.carried = carried;
-        ranges
-    }
-
     /// Drops every foreign point that the list does not name, renumbers the list and settles the halo exchange.
     fn keep_named(
         &mut self,
@@ -477,6 +451,29 @@ impl<M: Model> System<M> {
         self.halo = Halo::new(&self.comm, peers.to_vec(), &wanted, &offered, owned_points);
     }
 
+    /// Shows `look` this rank's own particles and all whole foreign ones that may overlap them, which the halo of the
+    /// lists (single points) does not hold. Collective; the system stays as it is.
+    pub fn with_whole_neighbors<R>(&mut self, look: impl FnOnce(&Candidates) -> R) -> Result<R, EngineError> {
+        self.prepare()?;
+        let mut particles = self.own_particles();
+        particles.carried.clear();
+        let owned = particles.len();
+        let centers: Vec<Frac> = (0..owned).map(|p| particles.center(&self.pbox, p)).collect();
+        let radius = (0..owned).map(|p| particles.circumradius(&self.pbox, p)).fold(0.0, f64::max);
+        // centres have left their subdomain by less than the skin since the last build
+        let halo = 2.0 * self.comm.max(radius) + self.model.range(self.largest_size) + self.skin;
+        self.grid.check(&self.pbox, halo)?;
+        let margin = self.pbox.widths().map(|w| halo / w);
+        collect_foreign(&self.comm, &self.grid, margin, &centers, &mut particles);
+        Ok(look(&Candidates {
+            pbox: &self.pbox,
+            particles: &particles,
+            owned,
+            region: self.grid.region(self.comm.rank(), margin),
+            chunks: &self.chunks,
+        }))
+    }
+
     /// Energies and stresses of the present state. Collective.
     pub fn energies(&mut self) -> Result<Energies, EngineError> {
         let terms = self.terms()?;
@@ -503,6 +500,16 @@ impl<M: Model> System<M> {
         let view = self.view();
         let parts = threads::map(&self.chunks, |chunk| {
             chunk.particles.clone().map(|p| self.model.terms(&view, p)).collect::<Vec<_>>()
+        });
+        Ok(parts.concat())
+    }
+
+    /// Outline of each own particle.
+    pub fn outlines(&mut self) -> Result<Vec<Outline>, EngineError> {
+        self.prepare()?;
+        let view = self.view();
+        let parts = threads::map(&self.chunks, |chunk| {
+            chunk.particles.clone().map(|p| self.model.outline(&view, p)).collect::<Vec<_>>()
         });
         Ok(parts.concat())
     }
@@ -569,4 +576,42 @@ impl<M: Model> System<M> {
         let lowest = -self.comm.max(-here.map_or(f64::INFINITY, f64::from));
         lowest.is_finite().then_some(lowest as u32)
     }
+}
+
+/// Which whole particles go where at a list build.
+struct Offers {
+    /// Ranks with adjacent subdomains.
+    peers: Vec<usize>,
+    /// For each peer the own particles that may come near its own.
+    offered: Vec<Vec<usize>>,
+    /// For each peer the range of points that it has sent.
+    foreign_of_peer: Vec<Range<usize>>,
+}
+
+/// Appends to `particles`, which are this rank's own without carried vectors, the whole foreign particles whose
+/// centres lie within `margin` (fractions of the box) of its subdomain. Collective.
+fn collect_foreign(
+    comm: &Comm,
+    grid: &ProcessGrid,
+    margin: [f64; 2],
+    centers: &[Frac],
+    particles: &mut Particles,
+) -> Offers {
+    let peers = grid.neighbors(comm.rank());
+    let near = |&peer: &usize| (0..centers.len()).filter(|&p| grid.is_near(peer, centers[p], margin)).collect();
+    let offered: Vec<Vec<usize>> = peers.iter().map(near).collect();
+    let packed = |chosen: &Vec<usize>| {
+        let mut message = Vec::new();
+        chosen.iter().for_each(|&p| particles.pack(p, false, &mut message));
+        message
+    };
+    let outgoing: Vec<Vec<u64>> = offered.iter().map(packed).collect();
+    let received = comm.exchange(&peers, &outgoing);
+    let append = |message: &Vec<u64>| {
+        let start = particles.position.len();
+        particles.unpack(message, false);
+        start..particles.position.len()
+    };
+    let foreign_of_peer = received.iter().map(append).collect();
+    Offers { peers, offered, foreign_of_peer }
 }

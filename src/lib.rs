@@ -1,13 +1,18 @@
 //! Jammed packings of soft and deformable particles in two dimensions.
+pub mod cli;
 pub mod comm;
+pub mod commands;
 pub mod decomposition;
 pub mod engine;
+pub mod failure;
 pub mod geometry;
 pub mod minimize;
 pub mod model;
 pub mod neighbor;
+pub mod observe;
 pub mod output;
 pub mod particles;
 pub mod protocol;
+pub mod run;
 pub mod scene;
 pub mod threads;

@@ -1,4 +1,4 @@
-use super::{Harmonic, Model, Terms, View, add_outer};
+use super::{Harmonic, Model, Outline, Terms, View, add_outer};
 use crate::geometry::{Polygon, Vec2, cross, dot, norm, scale, sub};
 use crate::neighbor::{Candidates, PointList};
 use crate::particles::Bodies;
@@ -157,6 +157,18 @@ impl<C: Contact> Model for Deformable<C> {
 
     fn own_area(&self, view: &View<C::List>, p: usize) -> f64 {
         Polygon::from_vertices(view.pbox, view.particles.points_of(p)).rounded_area(self.parameters.contact.delta)
+    }
+
+    fn outline(&self, view: &View<C::List>, p: usize) -> Outline {
+        let law = self.parameters.contact;
+        let mut overlap = 0.0f64;
+        C::for_each_touch(law, view, p, |touch| overlap = overlap.max(law.delta - norm(touch.separation)));
+        Outline::Polygon {
+            polygon: Polygon::from_vertices(view.pbox, view.particles.points_of(p)),
+            rest_area: view.particles.size[p],
+            delta: law.delta,
+            overlap,
+        }
     }
 
     fn time_step(&self) -> f64 {

@@ -10,7 +10,7 @@ pub use edge_edge::EdgeEdge;
 pub use soft_disks::SoftDisks;
 pub use vertex_edge::VertexEdge;
 
-use crate::geometry::{Frac, PeriodicBox, Vec2};
+use crate::geometry::{Frac, PeriodicBox, Polygon, Vec2};
 use crate::neighbor::{Candidates, PointList};
 use crate::particles::{Bodies, Particles};
 use std::ops::Range;
@@ -59,6 +59,22 @@ pub struct Terms {
     pub centroid: [f64; 4],
 }
 
+/// What a particle looks like: all that its area and shape are measured from.
+#[derive(Clone, Debug)]
+pub enum Outline {
+    /// A disk and the disks that overlap it: (vector to the centre, radius) of each.
+    Disk { radius: f64, overlaps: Vec<(Vec2, f64)> },
+    /// A polygon inside a shell of width δ/2.
+    Polygon {
+        polygon: Polygon,
+        /// a₀
+        rest_area: f64,
+        delta: f64,
+        /// How deep another shell reaches into its own: δ − d for the nearest point of another outline, 0 when none.
+        overlap: f64,
+    },
+}
+
 /// An energy that is a function of positions alone and has a force everywhere: what the minimisers ask for.
 pub trait Model: Send + Sync {
     type List: PointList + Default;
@@ -86,6 +102,9 @@ pub trait Model: Send + Sync {
     /// Area that own particle `particle` covers by itself: π σ²/4 of a disk, polygon and shell of a deformable one.
     /// Their sum over the area of the box is the density that protocols set (φ for disks, ρ for deformable particles).
     fn own_area(&self, view: &View<Self::List>, particle: usize) -> f64;
+
+    /// Outline of own particle `particle`.
+    fn outline(&self, view: &View<Self::List>, particle: usize) -> Outline;
 
     /// Largest time step that is safe for unit masses, from a bound on the stiffest mode.
     fn time_step(&self) -> f64;

@@ -1,4 +1,4 @@
-use super::{Harmonic, Model, Terms, View, add_outer};
+use super::{Harmonic, Model, Outline, Terms, View, add_outer};
 use crate::geometry::{Vec2, dot};
 use crate::neighbor::{Candidates, DiskList};
 use crate::particles::Bodies;
@@ -93,6 +93,13 @@ impl Model for SoftDisks {
 
     fn own_area(&self, view: &View<DiskList>, i: usize) -> f64 {
         0.25 * std::f64::consts::PI * view.particles.size[i] * view.particles.size[i]
+    }
+
+    fn outline(&self, view: &View<DiskList>, i: usize) -> Outline {
+        let radius = 0.5 * view.particles.size[i];
+        // δ of the pair is the sum of the two radii
+        let overlaps = self.overlaps(view, i).map(|(_, d, _, law)| ([-d[0], -d[1]], law.delta - radius)).collect();
+        Outline::Disk { radius, overlaps }
     }
 
     fn time_step(&self) -> f64 {

@@ -1,4 +1,17 @@
-//! What a run leaves behind: results files and pictures.
+//! What a run leaves behind: one results file (H5MD), pictures and plots.
 
+mod error;
+pub mod folder;
+pub mod h5md;
+pub mod info;
 pub mod picture;
 pub mod plot;
+pub mod read;
+pub mod render;
+mod rows;
+
+pub use error::OutputError;
+pub use folder::Folder;
+pub use h5md::{Frame, Header, ResultsFile};
+pub use info::info;
+pub use read::{Results, Snapshot};

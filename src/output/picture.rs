@@ -44,7 +44,7 @@ const GREY_CONSTANT: Colour = [0xa6, 0xac, 0xb4];
 type Colour = [u8; 3];
 type Point = [f64; 2];
 
-/// What can go wrong when a figure is rasterised.
+/// What can go wrong when a figure is drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// The SVG could not be read back, e.g. more than a million elements.
@@ -61,6 +61,12 @@ pub enum PictureError {
     /// The PNG encoder failed.
     #[error("cannot encode the picture as PNG: {0}")]
     Png(String),
+    /// More particles than a picture can show.
+    #[error("{particles} particles are too many for a picture, {most} at most")]
+    TooMany { particles: usize, most: usize },
+    /// Ids are not 0, 1, 2, ...
+    #[error("cannot draw these particles: {0}")]
+    Particles(String),
 }
 
 /// One particle's outline in Cartesian coordinates, in any periodic image.

@@ -1,0 +1,119 @@
+//! What each command does. Whatever a command cannot do ends as one line on the standard error and an exit code.
+
+use crate::cli::{Cli, Command, LogFormat, RunOptions, Settings, Starter};
+use crate::comm::{Comm, Session};
+use crate::failure::{Failure, exit};
+use crate::run;
+use crate::scene::{self, Scene};
+use std::path::Path;
+
+/// Does what the flags say and returns the exit code, the same on all ranks.
+pub fn dispatch(session: &Session, cli: Cli) -> u8 {
+    let is_root = session.world().is_root();
+    let outcome = start(&cli.settings, is_root).and_then(|()| execute(session, &cli));
+    match outcome {
+        Ok(()) => exit::SUCCESS,
+        Err(failure) => {
+            if is_root {
+                eprintln!("error: {failure}");
+            }
+            failure.exit_code()
+        }
+    }
+}
+
+fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
+    let comm = session.world();
+    let json = cli.settings.log_format == LogFormat::Json;
+    match &cli.command {
+        None => run::run(comm, &read_scene(&session.world(), None, &cli.options)?, !json),
+        Some(Command::Run { scene, options, check }) => {
+            let scene = read_scene(&comm, Some(scene), options)?;
+            if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, !json) }
+        }
+        Some(Command::Init { model, output }) => {
+            let text = match model {
+                Starter::Sp => scene::SP_STARTER,
+                Starter::Dp => scene::DP_STARTER,
+            };
+            match output {
+                None => print(&comm, text),
+                Some(file) => write_new(&comm, file, text),
+            }
+        }
+        Some(_) => Err(Failure::Other("not yet".into())),
+    }
+}
+
+/// Threads and logs, before any work.
+fn start(settings: &Settings, is_root: bool) -> Result<(), Failure> {
+    // the calling thread is one of them, so that a single thread starts no other
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(settings.threads as usize)
+        .use_current_thread()
+        .build_global()
+        .map_err(|e| Failure::Other(format!("cannot start {} threads: {e}", settings.threads)))?;
+    if is_root {
+        start_logs(settings);
+    }
+    Ok(())
+}
+
+fn start_logs(settings: &Settings) {
+    let json = settings.log_format == LogFormat::Json;
+    let usual = if json { "info" } else { "warn" };
+    let filter = settings.log_level.clone().unwrap_or_else(|| usual.into());
+    let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    if json {
+        logs.json().init();
+    } else {
+        logs.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).init();
+    }
+}
+
+/// The scene of a file, or the built-in one, with the changes of the command line; the same on all ranks.
+fn read_scene(comm: &Comm, file: Option<&Path>, options: &RunOptions) -> Result<Scene, Failure> {
+    let (text, origin) = match file {
+        None => (scene::DEFAULT.to_string(), "the built-in scene".to_string()),
+        Some(file) => (read_text(comm, file)?, file.display().to_string()),
+    };
+    let mut scene = Scene::parse(&text, &origin, &options.set)?;
+    if let Some(directory) = &options.output {
+        scene.output.directory = directory.to_string_lossy().into_owned();
+    }
+    Ok(scene)
+}
+
+/// A text file, read by rank 0.
+fn read_text(comm: &Comm, file: &Path) -> Result<String, Failure> {
+    let bytes = comm.from_root(|| {
+        let bytes = std::fs::read(file).map_err(|e| Failure::Input(format!("cannot read {}: {e}", file.display())))?;
+        match std::str::from_utf8(&bytes) {
+            Ok(_) => Ok(bytes),
+            Err(_) => Err(Failure::Input(format!("{} is not a text file (UTF-8)", file.display()))),
+        }
+    })?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+/// Prints on rank 0. A reader that has gone away, as in `jamhpc init | head`, is no error.
+fn print(comm: &Comm, text: &str) -> Result<(), Failure> {
+    if comm.is_root() {
+        let _ = std::io::Write::write_all(&mut std::io::stdout(), text.as_bytes());
+    }
+    Ok(())
+}
+
+/// Writes a file that must not exist yet.
+fn write_new(comm: &Comm, file: &Path, text: &str) -> Result<(), Failure> {
+    comm.from_root(|| {
+        let write = || std::io::Write::write_all(&mut std::fs::File::create_new(file)?, text.as_bytes());
+        write().map(|()| Vec::new()).map_err(|e| match e.kind() {
+            std::io::ErrorKind::AlreadyExists => {
+                Failure::Input(format!("{} exists already: remove it or choose another name", file.display()))
+            }
+            _ => Failure::Input(format!("cannot write {}: {e}", file.display())),
+        })
+    })?;
+    Ok(())
+}

@@ -1,0 +1,79 @@
+//! How a command ends when it cannot give its result: one message, one exit code, the same on every rank.
+
+use crate::engine::EngineError;
+use crate::protocol::ProtocolError;
+use crate::scene::SceneError;
+
+/// Exit codes; a panic ends with [`crate::comm::EXIT_PANIC`].
+pub mod exit {
+    pub const SUCCESS: u8 = 0;
+    pub const FAILURE: u8 = 1;
+    pub const BAD_INPUT: u8 = 2;
+    pub const NOT_CONVERGED: u8 = 3;
+}
+
+/// Why a command has no result. The message says what to do about it.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Failure {
+    /// What the user gave cannot be used: a key, a file, a folder, a number of ranks.
+    #[error("{0}")]
+    Input(String),
+    /// A state did not come to force balance.
+    #[error("{0}")]
+    NotConverged(String),
+    /// Anything else: a full disk, a file that vanished, forces that run away.
+    #[error("{0}")]
+    Other(String),
+}
+
+impl Failure {
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Failure::Input(_) => exit::BAD_INPUT,
+            Failure::NotConverged(_) => exit::NOT_CONVERGED,
+            Failure::Other(_) => exit::FAILURE,
+        }
+    }
+
+    /// The same failure with a remark after its message.
+    pub fn and(self, remark: &str) -> Self {
+        match self {
+            Failure::Input(text) => Failure::Input(format!("{text}; {remark}")),
+            Failure::NotConverged(text) => Failure::NotConverged(format!("{text}; {remark}")),
+            Failure::Other(text) => Failure::Other(format!("{text}; {remark}")),
+        }
+    }
+}
+
+/// Text alone is a complaint about an input file: what [`crate::comm::Comm::from_root`] hands on.
+impl From<String> for Failure {
+    fn from(text: String) -> Self {
+        Failure::Input(text)
+    }
+}
+
+impl From<SceneError> for Failure {
+    fn from(error: SceneError) -> Self {
+        Failure::Input(error.to_string())
+    }
+}
+
+impl From<EngineError> for Failure {
+    fn from(error: EngineError) -> Self {
+        match error {
+            EngineError::TooManyRanks(_) | EngineError::BoxTooSmall { .. } => Failure::Input(error.to_string()),
+            EngineError::Runaway { .. } | EngineError::Crossing(..) => Failure::Other(error.to_string()),
+        }
+    }
+}
+
+impl From<ProtocolError> for Failure {
+    fn from(error: ProtocolError) -> Self {
+        match error {
+            ProtocolError::Engine(error) => error.into(),
+            ProtocolError::Unconverged { .. } | ProtocolError::NoOnset { .. } => {
+                Failure::NotConverged(error.to_string())
+            }
+        }
+    }
+}

@@ -1,0 +1,135 @@
+use crate::engine::{EngineError, System};
+use crate::geometry::{Polygon, Vec2, add, cross, sub};
+use crate::model::Model;
+use crate::neighbor::{Candidates, CellList, EdgeEdgeList};
+use crate::particles::Bodies;
+
+/// The lowest pair of particles (global ids, ascending) whose outlines are not in order, the same on all ranks, or
+/// `None` when all is well. Two different ids: outlines that cross, or one particle inside the other. Twice the same
+/// id: a particle that crosses itself or runs clockwise. Outlines that merely touch are in order. Collective.
+///
+/// Crossed outlines never untangle, so a state that has any is not valid, however small its forces.
+pub fn check_no_crossing<M: Model>(system: &mut System<M>) -> Result<Option<(u32, u32)>, EngineError> {
+    if matches!(system.particles().bodies, Bodies::Disks) {
+        return Ok(None);
+    }
+    let here = system.with_whole_neighbors(|candidates| {
+        [tangled(candidates), crossing(candidates), nested(candidates)].into_iter().flatten().min()
+    })?;
+    let word = here.map_or(u64::MAX, |(a, b)| (a as u64) << 32 | b as u64);
+    let lowest = system.comm.all_gather(&[word]).concat().into_iter().min();
+    Ok(lowest.filter(|&word| word != u64::MAX).map(|word| ((word >> 32) as u32, word as u32)))
+}
+
+fn ordered(a: u32, b: u32) -> (u32, u32) {
+    (a.min(b), a.max(b))
+}
+
+/// The lowest own particle that crosses itself or runs clockwise.
+fn tangled(candidates: &Candidates) -> Option<(u32, u32)> {
+    let particles = candidates.particles;
+    let is_tangled = |p: &usize| {
+        let polygon = Polygon::from_vertices(candidates.pbox, particles.points_of(*p));
+        polygon.area() <= 0.0 || polygon.crosses_itself()
+    };
+    (0..candidates.owned).filter(is_tangled).map(|p| (particles.id[p], particles.id[p])).min()
+}
+
+/// The lowest pair of crossing outlines with an own particle in it.
+fn crossing(candidates: &Candidates) -> Option<(u32, u32)> {
+    let particles = candidates.particles;
+    // at range zero the list holds the edges that cross and no others
+    let list = EdgeEdgeList::new(candidates, 0.0);
+    let mut id_of = Vec::with_capacity(particles.position.len());
+    for p in 0..particles.len() {
+        id_of.resize(particles.bodies.points(p).end, particles.id[p]);
+    }
+    let own_points = candidates.chunks.last().map_or(0, |chunk| chunk.points.end);
+    let pairs = (0..own_points).flat_map(|point| {
+        let id_of = &id_of;
+        list.edges.row(point).iter().map(move |pair| ordered(id_of[point], id_of[pair.ends[0] as usize]))
+    });
+    pairs.min()
+}
+
+/// The lowest pair of an own particle and another one that holds its first vertex: outlines that do not cross are then
+/// one inside the other.
+fn nested(candidates: &Candidates) -> Option<(u32, u32)> {
+    let Candidates { pbox, particles, owned, region, .. } = candidates;
+    let first: Vec<_> = (0..particles.len()).map(|p| particles.points_of(p)[0]).collect();
+    let polygons: Vec<Polygon> =
+        (0..particles.len()).map(|p| Polygon::from_vertices(pbox, particles.points_of(p))).collect();
+    // no vertex is farther from another of the same polygon than half of its outline
+    let reach = polygons.iter().map(|polygon| 0.5 * polygon.perimeter()).fold(0.0, f64::max);
+    let cells = CellList::new(pbox, region, &first, reach);
+    let mut lowest: Option<(u32, u32)> = None;
+    for p in 0..*owned {
+        cells.for_each_near(first[p], |q| {
+            let q = q as usize;
+            let pair = ordered(particles.id[p], particles.id[q]);
+            if p != q && lowest.is_none_or(|l| pair < l) && holds(&polygons[q], pbox.displacement(first[p], first[q])) {
+                lowest = Some(pair);
+            }
+        });
+    }
+    lowest
+}
+
+/// Whether a point, given relative to the first vertex, lies inside a polygon: an odd number of edges lies to its right.
+fn holds(polygon: &Polygon, point: Vec2) -> bool {
+    let to_the_right = polygon.offsets().zip(&polygon.edges).filter(|&(a, &edge)| {
+        let (below, end) = (a[1] <= point[1], add(a, edge));
+        below != (end[1] <= point[1]) && (cross(edge, sub(point, a)) > 0.0) == below
+    });
+    to_the_right.count() % 2 == 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::comm::Comm;
+    use crate::geometry::PeriodicBox;
+    use crate::model::{Deformable, DeformableParameters, Harmonic, VertexEdge};
+    use crate::particles::Particles;
+
+    fn check(pbox: PeriodicBox, polygons: &[Vec<Vec2>]) -> Option<(u32, u32)> {
+        let mut particles = Particles::empty(&Bodies::Polygons { first: vec![0] });
+        for (i, vertices) in polygons.iter().enumerate() {
+            let points: Vec<_> = vertices.iter().map(|&v| pbox.frac(v)).collect();
+            particles.push(i as u32, 1.0, &points);
+        }
+        let contact = Harmonic { epsilon: 1.0, delta: 0.1 };
+        let parameters =
+            DeformableParameters { line_tension: 1.0, k_area: 1.0, contact, largest_area_per_vertex: 0.25 };
+        let model = Deformable::<VertexEdge>::new(parameters);
+        let mut system = System::new(Comm::alone(), model, pbox, &pbox, particles, 0.1).unwrap();
+        check_no_crossing(&mut system).unwrap()
+    }
+
+    fn square(x: f64, y: f64, edge: f64) -> Vec<Vec2> {
+        vec![[x, y], [x + edge, y], [x + edge, y + edge], [x, y + edge]]
+    }
+
+    #[test]
+    fn order_and_disorder() {
+        let pbox = PeriodicBox::new(6.0, 6.0, 1.5);
+        assert_eq!(check(pbox, &[square(0.0, 0.0, 1.0), square(1.05, 0.0, 1.0)]), None);
+        // touching is allowed
+        assert_eq!(check(pbox, &[square(0.0, 0.0, 1.0), square(1.0, 0.3, 1.0)]), None);
+        // crossing through the periodic boundary
+        assert_eq!(check(pbox, &[square(3.0, 3.0, 1.0), square(0.1, 0.1, 1.0), square(7.0, 5.4, 1.0)]), Some((1, 2)));
+        // one inside the other, either way round
+        assert_eq!(check(pbox, &[square(0.0, 0.0, 1.0), square(0.3, 0.3, 0.2)]), Some((0, 1)));
+        assert_eq!(check(pbox, &[square(0.3, 0.3, 0.2), square(0.0, 0.0, 1.0)]), Some((0, 1)));
+    }
+
+    #[test]
+    fn particles_by_themselves() {
+        let pbox = PeriodicBox::square(8.0);
+        let mut clockwise = square(3.0, 3.0, 1.0);
+        clockwise.reverse();
+        assert_eq!(check(pbox, &[square(0.0, 0.0, 1.0), clockwise]), Some((1, 1)));
+        let crossed = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.2, -0.2], [0.0, 1.0]];
+        assert_eq!(check(pbox, &[crossed]), Some((0, 0)));
+    }
+}

@@ -1,0 +1,185 @@
+//! The folder of a run: made, found writable, held for one run at a time; files that appear whole or not at all.
+
+use super::error::{OutputError, on_root};
+use crate::comm::Comm;
+use rustix::fs::{FallocateFlags, fallocate, fstatvfs};
+use std::fs::{self, File, TryLockError};
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+/// A folder that this run may write to. Another run that wants it meanwhile is refused.
+#[derive(Debug)]
+pub struct Folder {
+    path: PathBuf,
+    /// Held by rank 0; the lock goes with the process.
+    _lock: Option<File>,
+}
+
+impl Folder {
+    /// Makes the folder if need be and finds out whether files can be written to it. Collective.
+    pub fn prepare(comm: &Comm, path: &Path) -> Result<Folder, OutputError> {
+        let mut lock = None;
+        let made = on_root(comm, || {
+            fs::create_dir_all(path).map_err(|e| explain(&e))?;
+            let probe = path.join(".jamhpc-writable");
+            File::create(&probe).and_then(|_| fs::remove_file(&probe)).map_err(|e| explain(&e))?;
+            lock = hold(path)?;
+            Ok(())
+        });
+        made.map_err(|reason| OutputError::write(path, reason))?;
+        Ok(Folder { path: path.to_owned(), _lock: lock })
+    }
+
+    /// The path of a file in the folder.
+    pub fn file(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+}
+
+/// Locks a folder, where its file system knows locks.
+fn hold(path: &Path) -> Result<Option<File>, String> {
+    let folder = File::open(path).map_err(|e| explain(&e))?;
+    match folder.try_lock() {
+        Ok(()) => Ok(Some(folder)),
+        Err(TryLockError::WouldBlock) => {
+            Err("another run is writing to this folder; wait for it or choose another folder".to_owned())
+        }
+        Err(TryLockError::Error(_)) => Ok(None),
+    }
+}
+
+/// An operating system error with what to do about it.
+pub(super) fn explain(error: &std::io::Error) -> String {
+    let advice = match error.kind() {
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "choose a folder that you may write to",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space or choose another file system",
+        ErrorKind::NotFound => "check the path",
+        ErrorKind::AlreadyExists | ErrorKind::NotADirectory => "a file stands where a folder is wanted",
+        _ => return error.to_string(),
+    };
+    format!("{error}; {advice}")
+}
+
+/// Moves an existing file out of the way, to the first free `NAME.1.EXT`, `NAME.2.EXT`, ...: results are never
+/// overwritten. Answers where it went.
+pub(super) fn make_way(path: &Path) -> std::io::Result<Option<PathBuf>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let (stem, extension) = name.split_once('.').unwrap_or((&name, ""));
+    for k in 1.. {
+        let free = path.with_file_name(format!("{stem}.{k}.{extension}"));
+        if !free.exists() {
+            fs::rename(path, &free)?;
+            return Ok(Some(free));
+        }
+    }
+    Ok(None)
+}
+
+/// Writes a small file at once: nobody ever sees it half-written, and an older one stays until the new one is whole.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let part = path.with_file_name(format!(".{name}.part"));
+    let written = File::create(&part)
+        .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
+        .and_then(|()| fs::rename(&part, path));
+    written.map_err(|e| {
+        let _ = fs::remove_file(&part); // it may never have come to be
+        OutputError::write(path, explain(&e))
+    })
+}
+
+/// Makes sure that a file can grow by `bytes`. Parallel writes to a full file system may be lost without an error or
+/// hang, so that the space is taken beforehand: this sees quotas too, and no other program can take it meanwhile.
+/// Where a file system cannot reserve, its free space is looked at.
+pub(super) fn reserve(path: &Path, bytes: u64) -> Result<(), String> {
+    let grow = || -> std::io::Result<()> {
+        let file = File::options().write(true).open(path)?;
+        let length = file.metadata()?.len();
+        match fallocate(&file, FallocateFlags::KEEP_SIZE, length, bytes) {
+            Err(rustix::io::Errno::OPNOTSUPP | rustix::io::Errno::NOSYS) => {
+                let system = fstatvfs(&file)?;
+                let free = system.f_bavail.saturating_mul(system.f_frsize);
+                if free < bytes { Err(ErrorKind::StorageFull.into()) } else { Ok(()) }
+            }
+            outcome => Ok(outcome?),
+        }
+    };
+    grow().map_err(|e| format!("{:.1} MB more are needed: {}", bytes as f64 / 1e6, explain(&e)))
+}
+
+/// Gives a finished file its name: all bytes on the disk, older results of that name moved aside, then renamed.
+pub(super) fn publish(part: &Path, path: &Path) -> Result<Option<PathBuf>, String> {
+    let act = || -> std::io::Result<Option<PathBuf>> {
+        let file = File::options().write(true).open(part)?;
+        file.set_len(file.metadata()?.len())?; // returns what was reserved and not used
+        file.sync_all()?;
+        let moved = make_way(path)?;
+        fs::rename(part, path)?;
+        let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        File::open(folder)?.sync_all()?;
+        Ok(moved)
+    };
+    act().map_err(|e| explain(&e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_run_at_a_time() {
+        let home = tempfile::tempdir().unwrap();
+        let path = home.path().join("a/b");
+        let first = Folder::prepare(&Comm::alone(), &path).unwrap();
+        let second = Folder::prepare(&Comm::alone(), &path).unwrap_err();
+        assert!(second.to_string().contains("another run"), "{second}");
+        drop(first);
+        Folder::prepare(&Comm::alone(), &path).unwrap();
+        assert_eq!(fs::read_dir(&path).unwrap().count(), 0, "no traces");
+    }
+
+    #[test]
+    fn a_file_in_the_way_is_named() {
+        let home = tempfile::tempdir().unwrap();
+        let path = home.path().join("file");
+        fs::write(&path, "x").unwrap();
+        let error = Folder::prepare(&Comm::alone(), &path).unwrap_err().to_string();
+        assert!(error.contains("file") && error.contains("folder is wanted"), "{error}");
+    }
+
+    #[test]
+    fn older_files_are_kept() {
+        let home = tempfile::tempdir().unwrap();
+        let path = home.path().join("run.h5");
+        assert_eq!(make_way(&path).unwrap(), None);
+        for k in 1..4 {
+            fs::write(&path, k.to_string()).unwrap();
+            let moved = make_way(&path).unwrap().unwrap();
+            assert_eq!(moved, home.path().join(format!("run.{k}.h5")));
+            assert_eq!(fs::read_to_string(moved).unwrap(), k.to_string());
+        }
+    }
+
+    #[test]
+    fn whole_or_not_at_all() {
+        let home = tempfile::tempdir().unwrap();
+        let path = home.path().join("picture.svg");
+        write_whole(&path, b"one").unwrap();
+        write_whole(&path, b"two").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(fs::read_dir(home.path()).unwrap().count(), 1);
+        let nowhere = write_whole(&home.path().join("none/p.svg"), b"x").unwrap_err().to_string();
+        assert!(nowhere.contains("none/p.svg") && nowhere.contains("check the path"), "{nowhere}");
+    }
+
+    #[test]
+    fn space_is_reserved_or_refused() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        reserve(file.path(), 1 << 16).unwrap();
+        assert_eq!(file.as_file().metadata().unwrap().len(), 0);
+        assert!(reserve(file.path(), 1 << 55).is_err());
+    }
+}

@@ -1,0 +1,195 @@
+//! Pictures and plots of a run, from its own data.
+
+use super::error::{OutputError, agree};
+use super::folder::write_whole;
+use super::picture::{Outline, Packing, PictureError};
+use super::plot::{Axes, Series, panels};
+use super::rows::{to_blocks, whole};
+use crate::comm::Comm;
+use crate::geometry::{PeriodicBox, add};
+use crate::particles::{Bodies, Particles};
+use std::path::Path;
+
+/// Larger packings are not drawn: a particle would be smaller than a pixel.
+pub const MAX_PARTICLES: usize = 200_000;
+const WIDTH_PX: u32 = 1600;
+
+/// What a picture shows beside the particles. Values and contacts are each rank's own.
+pub struct Look<'a> {
+    /// Width of the circulo-lines; 0 for disks.
+    pub delta: f64,
+    /// One value per own particle, shown as its colour.
+    pub values: &'a [f64],
+    /// Name of the values along the colour bar.
+    pub value_name: &'a str,
+    /// Global ids of particles in contact with an own particle; each pair may come once or from both sides. They are
+    /// not stored in results files: the engine finds them again in an exact state.
+    pub contacts: &'a [[u32; 2]],
+    pub caption: &'a str,
+}
+
+/// The packing as rank 0 draws it, particles in the order of their ids; nothing on the other ranks. Collective.
+pub fn packing(
+    comm: &Comm,
+    pbox: &PeriodicBox,
+    particles: &Particles,
+    look: &Look,
+) -> Result<Option<Packing>, PictureError> {
+    let count = comm.sum_count(particles.len() as u64) as usize;
+    if count > MAX_PARTICLES {
+        return Err(PictureError::TooMany { particles: count, most: MAX_PARTICLES });
+    }
+    let mut bodies = Vec::new();
+    (0..particles.len()).for_each(|p| particles.pack(p, false, &mut bodies));
+    let mut all = Particles::empty(&particles.bodies);
+    comm.gather(bodies).iter().for_each(|message| all.unpack(message, false));
+    // a missing value is drawn grey
+    let value = |p: usize| look.values.get(p).copied().unwrap_or(f64::NAN).to_bits();
+    let values = comm.gather((0..particles.len()).map(value).collect()).concat();
+    let pairs = comm.gather(look.contacts.iter().map(|&[a, b]| (a.min(b) as u64) << 32 | a.max(b) as u64).collect());
+    if !comm.is_root() {
+        return Ok(None);
+    }
+    let values: Vec<f64> = values.into_iter().map(f64::from_bits).collect();
+    let alone = to_blocks(&Comm::alone(), &all, &[&values]).map_err(PictureError::Particles)?;
+    let all = &alone.particles;
+    let outline = |p: usize| {
+        let points = whole(pbox, all, p);
+        match all.bodies {
+            Bodies::Disks => Outline::Disk { center: points[0], diameter: all.size[p] },
+            Bodies::Polygons { .. } => Outline::RoundedPolygon { vertices: points, width: look.delta },
+        }
+    };
+    let mut pairs = pairs.concat();
+    pairs.sort_unstable();
+    pairs.dedup();
+    let segment = |pair: &u64| {
+        let [a, b] = [(pair >> 32) as usize, *pair as u32 as usize];
+        let inside = b < all.len(); // a < b
+        inside.then(|| {
+            let (from, to) = (all.center(pbox, a), all.center(pbox, b));
+            let start = pbox.position(from);
+            [start, add(start, pbox.displacement(to, from))]
+        })
+    };
+    Ok(Some(Packing {
+        cell: [[pbox.lx(), 0.0], [pbox.xy(), pbox.ly()]],
+        outlines: (0..all.len()).map(outline).collect(),
+        values: if look.value_name.is_empty() { Vec::new() } else { alone.columns[0].clone() },
+        value_name: look.value_name.to_owned(),
+        contacts: pairs.iter().filter_map(segment).collect(),
+        caption: look.caption.to_owned(),
+    }))
+}
+
+/// Draws the packing to a file, SVG or PNG by its name. Collective.
+pub fn write_packing(
+    comm: &Comm,
+    path: &Path,
+    pbox: &PeriodicBox,
+    particles: &Particles,
+    look: &Look,
+) -> Result<(), OutputError> {
+    let drawn = packing(comm, pbox, particles, look);
+    let written = match drawn {
+        Ok(None) => Ok(()),
+        Ok(Some(packing)) => save(path, || packing.to_svg(), || packing.to_png(WIDTH_PX)),
+        Err(error) => Err(error.to_string()),
+    };
+    agree(comm, written).map_err(|reason| OutputError::write(path, reason))
+}
+
+/// Draws the samples of a run, `series` as [`super::Results::series`] gives them, against their density: contact
+/// number and pressure, shape parameter, packing fraction, as far as they are known. For one rank.
+pub fn write_plot(path: &Path, series: &[(String, Vec<f64>)]) -> Result<(), OutputError> {
+    let axes = run_axes(series);
+    let figure = panels(&axes, 2);
+    let plain = [Axes { x_label: "density".to_owned(), ..Axes::default() }];
+    let figure = if axes.is_empty() { panels(&plain, 1) } else { figure };
+    save(path, || figure.to_svg(), || figure.to_png(WIDTH_PX)).map_err(|reason| OutputError::write(path, reason))
+}
+
+/// The panels of the plot of a run.
+fn run_axes(series: &[(String, Vec<f64>)]) -> Vec<Axes> {
+    const PANELS: [(&str, &str); 4] = [
+        ("contact_number", "contact number z"),
+        ("pressure", "pressure p"),
+        ("shape_parameter", "shape parameter"),
+        ("packing_fraction", "packing fraction"),
+    ];
+    let find = |name: &str| series.iter().find(|(n, _)| n == name).map(|(_, values)| values);
+    let Some(density) = find("density") else { return Vec::new() };
+    let panel = |(name, label): &(&str, &str)| {
+        let values = find(name)?;
+        let points = density.iter().zip(values).map(|(&x, &y)| [x, y]).collect();
+        Some(Axes {
+            x_label: "density".to_owned(),
+            y_label: (*label).to_owned(),
+            series: vec![Series { points, line: true, ..Series::default() }],
+            ..Axes::default()
+        })
+    };
+    PANELS.iter().filter_map(panel).collect()
+}
+
+/// Writes a figure as the ending of the file name says.
+fn save(
+    path: &Path,
+    svg: impl FnOnce() -> String,
+    png: impl FnOnce() -> Result<Vec<u8>, PictureError>,
+) -> Result<(), String> {
+    let bytes = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+        Some("svg") => svg().into_bytes(),
+        Some("png") => png().map_err(|e| e.to_string())?,
+        _ => return Err("pictures are .svg or .png".to_owned()),
+    };
+    write_whole(path, &bytes).map_err(|e| match e {
+        OutputError::Write { reason, .. } | OutputError::Read { reason, .. } => reason,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Frac;
+
+    fn two_disks() -> (PeriodicBox, Particles) {
+        let mut disks = Particles::empty(&Bodies::Disks);
+        for (id, x) in [(1, 0.95), (0, 0.05)] {
+            disks.push(id, 0.5, &[Frac::from_fractions([x, 0.5])]);
+        }
+        (PeriodicBox::square(4.0), disks)
+    }
+
+    fn look(contacts: &[[u32; 2]]) -> Look<'_> {
+        Look { delta: 0.0, values: &[2.0, 1.0], value_name: "z", contacts, caption: "two disks" }
+    }
+
+    #[test]
+    fn particles_are_drawn_in_the_order_of_ids_and_contacts_across_the_boundary() {
+        let (pbox, disks) = two_disks();
+        let drawn = packing(&Comm::alone(), &pbox, &disks, &look(&[[1, 0], [0, 1], [0, 9]])).unwrap().unwrap();
+        assert_eq!(drawn.values, [1.0, 2.0]);
+        assert_eq!(drawn.contacts.len(), 1);
+        let [[x, _], [far, _]] = drawn.contacts[0];
+        assert!((x - 0.2).abs() < 1e-12 && (far + 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn pictures_and_plots_are_written_by_their_ending() {
+        let (pbox, disks) = two_disks();
+        let home = tempfile::tempdir().unwrap();
+        let path = |name: &str| home.path().join(name);
+        let draw = |name: &str| write_packing(&Comm::alone(), &path(name), &pbox, &disks, &look(&[[0, 1]]));
+        draw("a.svg").unwrap();
+        draw("a.png").unwrap();
+        assert!(std::fs::read(path("a.png")).unwrap().starts_with(b"\x89PNG"));
+        assert!(draw("a.pdf").unwrap_err().to_string().contains(".svg or .png"));
+        assert!(draw("none/a.svg").unwrap_err().to_string().contains("check the path"));
+        let series = [("density", vec![0.8, 0.9]), ("pressure", vec![0.0, 0.1]), ("contact_number", vec![4.0, 4.5])];
+        let series = series.map(|(name, values)| (name.to_owned(), values));
+        assert_eq!(run_axes(&series).len(), 2);
+        write_plot(&path("plot.svg"), &series).unwrap();
+        write_plot(&path("empty.svg"), &[]).unwrap();
+    }
+}

@@ -1,0 +1,53 @@
+//! What a run says on the standard error while it works: plain lines at intervals, one line rewritten on a terminal.
+
+use std::io::{IsTerminal, Write};
+use std::time::{Duration, Instant};
+
+/// Between two plain lines.
+const INTERVAL: Duration = Duration::from_secs(5);
+/// Between two changes of the line on a terminal.
+const TERMINAL_INTERVAL: Duration = Duration::from_millis(100);
+
+/// One speaker for the whole run; silent on all ranks but rank 0.
+pub struct Progress {
+    speaks: bool,
+    terminal: bool,
+    started: Instant,
+    last: Option<Instant>,
+}
+
+impl Progress {
+    pub fn new(speaks: bool) -> Self {
+        // Open MPI gives every rank a terminal as standard output; the standard error tells the truth
+        let terminal = std::io::stderr().is_terminal();
+        Progress { speaks, terminal, started: Instant::now(), last: None }
+    }
+
+    /// A minimised state; shown if it is time for it.
+    pub fn state(&mut self, phase: &str, density: f64, pressure: f64, iterations: u64) {
+        let interval = if self.terminal { TERMINAL_INTERVAL } else { INTERVAL };
+        if !self.speaks || self.last.is_some_and(|last| last.elapsed() < interval) {
+            return;
+        }
+        self.last = Some(Instant::now());
+        let seconds = self.started.elapsed().as_secs();
+        let line = format!(
+            "[{:3}:{:02}] {phase:<11} density {density:.6}  pressure {pressure:9.3e}  {iterations} iterations",
+            seconds / 60,
+            seconds % 60
+        );
+        if self.terminal {
+            eprint!("\r\x1b[K{line}");
+            let _ = std::io::stderr().flush();
+        } else {
+            eprintln!("{line}");
+        }
+    }
+
+    /// Clears the rewritten line, so that whatever comes next starts on a line of its own.
+    pub fn finish(&self) {
+        if self.speaks && self.terminal && self.last.is_some() {
+            eprint!("\r\x1b[K");
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! From the scene to a system at its random start.
+
+use crate::comm::Comm;
+use crate::engine::System;
+use crate::failure::Failure;
+use crate::geometry::PeriodicBox;
+use crate::minimize::Goal;
+use crate::model::{Contact, Deformable, DeformableParameters, Harmonic, SoftDisks};
+use crate::protocol::{OnsetSearch, Species, deformable_particles, random_disks};
+use crate::scene::{Compression, DpPhysics, LINE_TENSION, Scene, SpPhysics};
+
+/// No packing of disks or polygons of several sizes jams above this density: the hexagonal crystal has 0.907.
+const DENSEST_ONSET: f64 = 0.91;
+
+/// Soft disks at random centres.
+pub fn soft_disks(comm: Comm, scene: &Scene, sp: &SpPhysics) -> Result<System<SoftDisks>, Failure> {
+    let species: Vec<Species> = sp
+        .species(scene.n_particles)
+        .iter()
+        .map(|s| Species { count: s.count as u32, size: s.diameter, n_vertices: 1 })
+        .collect();
+    let model = SoftDisks { epsilon: sp.potential.epsilon, smallest: 1.0 };
+    let boxes = Boxes::new(scene, &species, 0.0);
+    let disks = random_disks(&comm, &species, scene.seed, |s| s.size);
+    Ok(System::new(comm, model, boxes.start, &boxes.smallest, disks, scene.neighbor.skin)?)
+}
+
+/// Regular polygons about the same random centres, none crossing another.
+pub fn deformable<C: Contact>(comm: Comm, scene: &Scene, dp: &DpPhysics) -> Result<System<Deformable<C>>, Failure> {
+    let delta = dp.potential.delta;
+    let kinds = dp.species(scene.n_particles);
+    let species: Vec<Species> =
+        kinds.iter().map(|s| Species { count: s.count as u32, size: s.a0, n_vertices: s.n_vertices as u32 }).collect();
+    let model = Deformable::new(DeformableParameters {
+        line_tension: LINE_TENSION,
+        k_area: dp.k_area(),
+        contact: Harmonic { epsilon: dp.epsilon(), delta },
+        largest_area_per_vertex: kinds.iter().map(|s| s.a0 / s.n_vertices as f64).fold(0.0, f64::max),
+    });
+    let boxes = Boxes::new(scene, &species, delta);
+    let (comm, polygons) = deformable_particles(comm, boxes.start, &species, scene.seed, delta)?;
+    Ok(System::new(comm, model, boxes.start, &boxes.smallest, polygons, scene.neighbor.skin)?)
+}
+
+/// The box of the random start, and the smallest that the run can come to.
+struct Boxes {
+    start: PeriodicBox,
+    smallest: PeriodicBox,
+}
+
+impl Boxes {
+    fn new(scene: &Scene, species: &[Species], delta: f64) -> Self {
+        let covered: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(delta)).sum();
+        Boxes {
+            start: PeriodicBox::square((covered / scene.initial.packing_fraction).sqrt()),
+            smallest: PeriodicBox::square((covered / largest_density(scene)).sqrt()),
+        }
+    }
+}
+
+/// No density of the run is above this.
+fn largest_density(scene: &Scene) -> f64 {
+    let searched = DENSEST_ONSET + scene.onset.step;
+    let sampled = match &scene.compression {
+        Compression::Until { until, .. } => *until,
+        Compression::Increments { increments } => DENSEST_ONSET + increments.last().copied().unwrap_or(0.0),
+        Compression::Log { log } => DENSEST_ONSET + log.to,
+    };
+    searched.max(sampled)
+}
+
+/// When a state counts as relaxed, in the units of the model.
+pub fn goal(scene: &Scene) -> Goal {
+    Goal {
+        force_tolerance: scene.minimize.force_tolerance * scene.force_unit(),
+        max_iterations: scene.minimize.max_iterations as u64,
+    }
+}
+
+/// How the onset is searched, in the units of the model.
+pub fn onset_search(scene: &Scene) -> OnsetSearch {
+    OnsetSearch {
+        step: scene.onset.step,
+        smallest_step: scene.onset.smallest_step,
+        pressure: scene.onset.pressure.map(|p| p * scene.pressure_unit()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_density_of_a_run_is_above_the_largest() {
+        for (form, largest) in [
+            ("compression.until=0.97", 0.97),
+            ("compression.until=0.6", 0.92),
+            ("compression.increments=[0.001, 0.1]", 1.01),
+            ("compression.log.to=0.2", 1.11),
+        ] {
+            let scene = Scene::parse("model = 'dp'", "test", &[form.to_string()]).unwrap();
+            assert!((largest_density(&scene) - largest).abs() < 1e-12, "{form}");
+        }
+    }
+}

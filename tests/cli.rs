@@ -1,0 +1,266 @@
+//! The program as a user meets it: what it prints, which files it leaves, how it refuses bad input.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use tempfile::TempDir;
+
+/// Seconds after which a program that hangs is ended, with exit code 124.
+const LIMIT: &str = "60";
+
+/// An empty folder in which the program is started.
+struct Place {
+    folder: TempDir,
+}
+
+/// How a program ended and what it said.
+struct Outcome {
+    code: Option<i32>,
+    stdout: String,
+    stderr: String,
+}
+
+impl Place {
+    fn new() -> Self {
+        Place { folder: tempfile::tempdir().unwrap() }
+    }
+
+    fn with(name: &str, text: &str) -> Self {
+        let place = Place::new();
+        place.write(name, text);
+        place
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.path().join(name), text).unwrap();
+    }
+
+    fn read(&self, name: &str) -> Vec<u8> {
+        std::fs::read(self.path().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+    }
+
+    /// All files and folders below, sorted.
+    fn files(&self) -> Vec<PathBuf> {
+        fn collect(folder: &Path, into: &mut Vec<PathBuf>) {
+            for entry in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+                if entry.is_dir() {
+                    collect(&entry, into);
+                }
+                into.push(entry);
+            }
+        }
+        let mut all = Vec::new();
+        collect(self.path(), &mut all);
+        all.sort();
+        all
+    }
+
+    /// `jamhpc` with these arguments, as a single process.
+    fn jamhpc(&self, arguments: &[&str]) -> Outcome {
+        self.start(&[], arguments)
+    }
+
+    /// The same on `ranks` ranks.
+    fn ranks(&self, ranks: u32, arguments: &[&str]) -> Outcome {
+        let launcher = std::env::var("MPIRUN").unwrap_or_else(|_| "mpirun".into());
+        let ranks = ranks.to_string();
+        let words: Vec<&str> = launcher.split_whitespace().chain(["-n", &ranks]).collect();
+        self.start(&words, arguments)
+    }
+
+    fn start(&self, launcher: &[&str], arguments: &[&str]) -> Outcome {
+        let output = Command::new("timeout")
+            .arg(LIMIT)
+            .args(launcher)
+            .arg(env!("CARGO_BIN_EXE_jamhpc"))
+            .args(arguments)
+            .current_dir(self.path())
+            // Open MPI: as root in a container, more ranks than cores
+            .envs(["OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM"].map(|name| (name, "1")))
+            .env("OMPI_MCA_rmaps_base_oversubscribe", "1")
+            .env("PRTE_MCA_rmaps_default_mapping_policy", ":oversubscribe")
+            .env("OMPI_MCA_hwloc_base_binding_policy", "none")
+            .env("OMPI_MCA_mpi_yield_when_idle", "1")
+            .env("RAYON_NUM_THREADS", "1")
+            .env_remove("JAMHPC_LOG")
+            .output()
+            .unwrap();
+        Outcome::from(output)
+    }
+
+    /// Refused with exit code 2 and one message that says all of `expected`; nothing was written.
+    fn refuses(&self, arguments: &[&str], expected: &[&str]) {
+        let before = self.files();
+        self.jamhpc(arguments).is_refusal(expected);
+        assert_eq!(self.files(), before, "{arguments:?} left files behind");
+    }
+}
+
+impl Outcome {
+    fn from(output: Output) -> Self {
+        Outcome {
+            code: output.status.code(),
+            stdout: String::from_utf8(output.stdout).unwrap(),
+            stderr: String::from_utf8(output.stderr).unwrap(),
+        }
+    }
+
+    #[track_caller]
+    fn succeeds(self) -> Self {
+        assert_eq!(self.code, Some(0), "{}", self.stderr);
+        assert!(!self.stderr.contains("error:"), "{}", self.stderr);
+        self
+    }
+
+    #[track_caller]
+    fn fails_with(&self, code: i32, expected: &[&str]) {
+        assert_eq!(self.code, Some(code), "{}", self.stderr);
+        let messages: Vec<&str> = self.stderr.lines().filter(|line| line.starts_with("error: ")).collect();
+        assert_eq!(messages.len(), 1, "{}", self.stderr);
+        for part in expected {
+            assert!(messages[0].contains(part), "`{part}` is not in: {}", messages[0]);
+        }
+        assert!(!self.stderr.contains("panicked") && !self.stderr.contains("internal error"), "{}", self.stderr);
+    }
+
+    #[track_caller]
+    fn is_refusal(&self, expected: &[&str]) {
+        self.fails_with(2, expected);
+    }
+}
+
+/// A scene that is done in a second.
+const QUICK_SP: &str = "model = 'sp'\nn_particles = 32\n[compression]\nincrements = [1e-3, 1e-2]\n";
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Good paths
+
+#[test]
+fn help_and_version() {
+    let help = Place::new().jamhpc(&["--help"]).succeeds().stdout;
+    for part in ["Examples:", "Exit codes:", "evaluate", "minimize", "render", "info", "init", "--threads"] {
+        assert!(help.contains(part), "{part}");
+    }
+    let version = Place::new().jamhpc(&["--version"]).succeeds().stdout;
+    assert!(version.starts_with(concat!("jamhpc ", env!("CARGO_PKG_VERSION"))), "{version}");
+}
+
+#[test]
+fn help_is_printed_once_for_all_ranks() {
+    let help = Place::new().ranks(2, &["--help"]).succeeds().stdout;
+    assert_eq!(help.matches("Usage:").count(), 1, "{help}");
+}
+
+#[test]
+fn a_starter_scene_is_valid_and_never_overwritten() {
+    let place = Place::new();
+    for model in ["sp", "dp"] {
+        let file = format!("{model}.toml");
+        let printed = place.jamhpc(&["init", model]).succeeds().stdout;
+        place.jamhpc(&["init", model, "-o", &file]).succeeds();
+        assert_eq!(printed.as_bytes(), place.read(&file));
+        let whole = place.jamhpc(&["run", &file, "--check"]).succeeds().stdout;
+        assert!(whole.contains(&format!("model = \"{model}\"")), "{whole}");
+        place.refuses(&["init", model, "-o", &file], &[&file, "exists already"]);
+    }
+    assert_eq!(place.files().len(), 2, "a check writes nothing");
+}
+
+#[test]
+fn a_run_prints_its_onset_and_one_line_a_sample() {
+    let place = Place::with("scene.toml", QUICK_SP);
+    let outcome = place.jamhpc(&["run", "scene.toml", "-o", "out"]).succeeds();
+    assert!(outcome.stdout.contains("onset: phi_J = 0.8"), "{}", outcome.stdout);
+    let samples = outcome.stdout.lines().filter(|line| line.trim_start().starts_with("0.8"));
+    assert_eq!(samples.count(), 3, "{}", outcome.stdout);
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Bad input
+
+#[test]
+fn bad_scenes_are_refused() {
+    for (text, expected) in [
+        ("", &["scene.toml", "empty", "jamhpc init"] as &[&str]),
+        ("model = 'sp'\nn_partcles = 3\n", &["scene.toml:2", "`n_partcles`", "did you mean `n_particles`"]),
+        ("model = 'sp'\nn_particles = 'many'\n", &["scene.toml:2", "`n_particles`", "an integer from 2"]),
+        ("model = 'sp'\n[initial]\npacking_fraction = 3\n", &["scene.toml:3", "`initial.packing_fraction`", "0.7"]),
+        ("model = 'sp'\n[potential]\ndelta = 0.1\n", &["scene.toml:3", "`potential.delta`", "dp"]),
+    ] {
+        Place::with("scene.toml", text).refuses(&["run", "scene.toml"], expected);
+    }
+}
+
+#[test]
+fn a_box_in_which_a_particle_meets_its_own_image_is_refused() {
+    let place = Place::with("scene.toml", "model = 'sp'\nn_particles = 4\n");
+    place.refuses(&["run", "scene.toml"], &["box is too small", "more particles"]);
+}
+
+#[test]
+fn overrides_are_checked_like_the_scene() {
+    let place = Place::with("scene.toml", QUICK_SP);
+    place.refuses(&["run", "scene.toml", "--set", "seed=-1"], &["--set seed=-1", "`seed`"]);
+    place.refuses(&["--set", "potential.delta=7"], &["`potential.delta`", "0.5"]);
+}
+
+#[test]
+fn files_that_cannot_be_read_are_refused() {
+    let place = Place::new();
+    place.refuses(&["run", "missing.toml"], &["missing.toml", "No such file"]);
+    place.refuses(&["run", "."], &["cannot read ."]);
+    std::fs::write(place.path().join("binary.toml"), [0x89, 0x48, 0xff, 0xfe]).unwrap();
+    place.refuses(&["run", "binary.toml"], &["binary.toml", "not a text file"]);
+    for command in [&["evaluate", "missing.json"] as &[&str], &["info", "missing.h5"]] {
+        place.refuses(command, &["missing."]);
+    }
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_refused_before_any_work() {
+    let place = Place::with("scene.toml", QUICK_SP);
+    place.write("file", "");
+    place.refuses(&["run", "scene.toml", "-o", "file"], &["file"]);
+    place.refuses(&["run", "scene.toml", "-o", "file/below"], &["file/below"]);
+    place.refuses(&["run", "scene.toml", "-o", "/proc/nothing"], &["/proc/nothing"]);
+}
+
+#[test]
+fn wrong_flags_are_refused() {
+    let place = Place::new();
+    place.refuses(&["--resume"], &["unexpected argument", "--resume"]);
+    place.refuses(&["run"], &["required"]);
+    place.refuses(&["dance"], &["dance"]);
+    place.refuses(&["--threads", "0"], &["--threads", "0"]);
+    place.refuses(&["--log-level", "jamhpc=loud"], &["--log-level"]);
+}
+
+#[test]
+fn ranks_refuse_together_and_speak_once() {
+    let place = Place::with("scene.toml", QUICK_SP);
+    place.write("bad.toml", "model = 'sp'\nn_partcles = 3\n");
+    place.write("tiny.toml", "model = 'sp'\nn_particles = 4\n");
+    let before = place.files();
+    place.ranks(2, &["run", "bad.toml"]).is_refusal(&["bad.toml:2", "`n_partcles`"]);
+    place.ranks(2, &["run", "missing.toml"]).is_refusal(&["missing.toml"]);
+    place.ranks(2, &["run", "tiny.toml"]).is_refusal(&["box is too small"]);
+    place.ranks(2, &["run", "scene.toml", "-o", "scene.toml"]).is_refusal(&["scene.toml"]);
+    place.ranks(2, &["run"]).is_refusal(&["required"]);
+    // eight ranks do not fit a box of 32 disks
+    place.ranks(8, &["run", "scene.toml"]).is_refusal(&["8 ranks do not fit", "mpirun -n"]);
+    assert_eq!(place.files(), before);
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Not converged
+
+#[test]
+fn a_state_that_does_not_converge_ends_with_its_own_code() {
+    let place = Place::with("scene.toml", QUICK_SP);
+    let few = ["run", "scene.toml", "-o", "out", "--set", "minimize.max_iterations=3"];
+    place.jamhpc(&few).fails_with(3, &["not converged", "minimize.max_iterations"]);
+    place.ranks(2, &few).fails_with(3, &["not converged"]);
+}
