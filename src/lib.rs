@@ -2,6 +2,7 @@
 pub mod comm;
 pub mod decomposition;
 pub mod engine;
+pub mod exchange;
 pub mod geometry;
 pub mod minimize;
 pub mod model;
