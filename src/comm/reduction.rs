@@ -44,6 +44,13 @@ impl Totals {
     }
 }
 
+/// The words of one [`Totals`] as a single element for MPI. (A bare array would count as that many elements of one word,
+/// and the fold would run past its end.)
+#[derive(Clone, Copy, mpi::traits::Equivalence)]
+pub(super) struct Block {
+    pub words: [i64; Totals::WORDS],
+}
+
 /// The MPI user function of [`Totals::merge`]. Each element is one whole block of words, so that an implementation
 /// that cuts long vectors can never separate them.
 ///
