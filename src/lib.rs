@@ -1,9 +1,11 @@
 //! Jammed packings of soft and deformable particles in two dimensions.
+
 pub mod cli;
 pub mod comm;
 pub mod commands;
 pub mod decomposition;
 pub mod engine;
+pub mod exchange;
 pub mod failure;
 pub mod geometry;
 pub mod minimize;
