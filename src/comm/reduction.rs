@@ -13,7 +13,7 @@ pub struct Totals {
 impl Totals {
     pub const SUMS: usize = 3;
     pub const MAXIMA: usize = 2;
-    pub(super) const WORDS: usize = 2 * Self::SUMS + Self::MAXIMA;
+    const WORDS: usize = 2 * Self::SUMS + Self::MAXIMA;
 
     pub fn merge(&mut self, other: &Totals) {
         for (sum, &term) in self.sums.iter_mut().zip(&other.sums) {
@@ -25,7 +25,7 @@ impl Totals {
         }
     }
 
-    pub(super) fn to_words(self) -> [i64; Self::WORDS] {
+    pub(super) fn to_block(self) -> Block {
         let mut words = [0; Self::WORDS];
         for (pair, sum) in words.chunks_exact_mut(2).zip(&self.sums) {
             pair.copy_from_slice(&sum.limbs);
@@ -33,10 +33,10 @@ impl Totals {
         for (word, most) in words[2 * Self::SUMS..].iter_mut().zip(&self.maxima) {
             *word = most.to_bits() as i64;
         }
-        words
+        Block { words }
     }
 
-    pub(super) fn from_words(words: [i64; Self::WORDS]) -> Self {
+    pub(super) fn from_block(Block { words }: Block) -> Self {
         Totals {
             sums: std::array::from_fn(|k| ExactSum { limbs: [words[2 * k], words[2 * k + 1]] }),
             maxima: std::array::from_fn(|k| f64::from_bits(words[2 * Self::SUMS + k] as u64)),
@@ -44,11 +44,18 @@ impl Totals {
     }
 }
 
-/// The MPI user function of [`Totals::merge`]. Each element is one whole block of words, so that an implementation
-/// that cuts long vectors can never separate them.
+/// [`Totals`] as one element of an MPI message. To MPI a plain array would be that many elements, which an
+/// implementation may fold in parts.
+#[derive(Clone, Copy, Default, mpi::traits::Equivalence)]
+#[repr(C)]
+pub(super) struct Block {
+    words: [i64; Totals::WORDS],
+}
+
+/// The MPI user function of [`Totals::merge`].
 ///
 /// # Safety
-/// MPI calls it with `len` blocks of `Totals::WORDS` words in both arrays.
+/// MPI calls it with `len` elements in both arrays, which must have been declared as [`Block`].
 pub(super) unsafe extern "C" fn fold_raw(
     incoming: *mut c_void,
     combined: *mut c_void,
@@ -59,14 +66,14 @@ pub(super) unsafe extern "C" fn fold_raw(
     let (incoming, combined) = unsafe {
         let n = *len as usize;
         (
-            std::slice::from_raw_parts(incoming.cast::<[i64; Totals::WORDS]>(), n),
-            std::slice::from_raw_parts_mut(combined.cast::<[i64; Totals::WORDS]>(), n),
+            std::slice::from_raw_parts(incoming.cast::<Block>(), n),
+            std::slice::from_raw_parts_mut(combined.cast::<Block>(), n),
         )
     };
     for (whole, part) in combined.iter_mut().zip(incoming) {
-        let mut totals = Totals::from_words(*whole);
-        totals.merge(&Totals::from_words(*part));
-        *whole = totals.to_words();
+        let mut totals = Totals::from_block(*whole);
+        totals.merge(&Totals::from_block(*part));
+        *whole = totals.to_block();
     }
 }
 
@@ -94,7 +101,7 @@ mod tests {
         let mut left = merged(&[1]);
         left.merge(&merged(&[2, 3]));
         assert_eq!(left, merged(&[1, 2, 3]));
-        assert_eq!(Totals::from_words(left.to_words()), left);
+        assert_eq!(Totals::from_block(left.to_block()), left);
     }
 
     #[test]
