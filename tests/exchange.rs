@@ -163,7 +163,7 @@ fn two_squares() -> Value {
 
 #[test]
 fn relaxation_ends_in_force_balance() {
-    let goal = Goal { force_tolerance: 1e-11, max_iterations: 100_000 };
+    let goal = Goal { force_tolerance: 1e-11, max_iterations: 100_000, stop_when_free: false };
     for start in [three_disks(), two_squares()] {
         let (text, minimized) = minimize(Comm::alone(), &start.to_string(), "start", &Fire::default(), &goal).unwrap();
         assert!(minimized.is_converged());
@@ -186,7 +186,7 @@ fn relaxation_ends_in_force_balance() {
 
 #[test]
 fn a_relaxation_that_runs_out_of_steps_says_so() {
-    let goal = Goal { force_tolerance: 1e-11, max_iterations: 3 };
+    let goal = Goal { force_tolerance: 1e-11, max_iterations: 3, stop_when_free: false };
     let start = two_squares().to_string();
     let (text, minimized) = minimize(Comm::alone(), &start, "start", &Fire::default(), &goal).unwrap();
     assert!(!minimized.is_converged());
