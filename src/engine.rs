@@ -190,6 +190,8 @@ impl<M: Model> System<M> {
     /// Changes the box and takes every point along affinely.
     pub fn deform(&mut self, to: PeriodicBox) {
         self.pbox = to;
+        // what was travelled in the old box is another length in this one
+        self.travel_bound = f64::INFINITY;
     }
 
     /// Changes the box, takes particle centres along affinely and moves each particle as a rigid whole.
@@ -298,11 +300,12 @@ impl<M: Model> System<M> {
         let stretch =
             if self.pbox == self.built_box { 1.0 } else { self.pbox.shortest_stretch(&self.built_box).min(1.0) };
         let allowed = 0.5 * (stretch * (range + self.skin) - range);
-        if self.travel_bound > allowed {
-            let travel = |(now, then): (&Frac, &Frac)| norm(self.pbox.displacement(*now, *then));
-            let farthest = self.particles.position.iter().zip(&self.built_position).map(travel).fold(0.0, f64::max);
-            self.travel_bound = self.comm.max(farthest);
+        if self.travel_bound <= allowed {
+            return true;
         }
+        let travel = |(now, then): (&Frac, &Frac)| norm(self.pbox.displacement(*now, *then));
+        let farthest = self.particles.position.iter().zip(&self.built_position).map(travel).fold(0.0, f64::max);
+        self.travel_bound = self.comm.max(farthest);
         // the last tenth of the skin is not worth measuring at every step
         self.travel_bound <= 0.9 * allowed
     }
@@ -570,8 +573,7 @@ impl<M: Model> System<M> {
     pub fn offender(&self, limit: f64) -> Option<u32> {
         let bad = |p: &usize| {
             let points = self.particles.bodies.points(*p);
-            // not "≥": NaN offends too
-            self.forces[points].iter().any(|&f| !(norm(f) < limit))
+            self.forces[points].iter().any(|&f| norm(f).is_nan() || norm(f) >= limit)
         };
         let here = (0..self.particles.len()).filter(bad).map(|p| self.particles.id[p]).min();
         let lowest = -self.comm.max(-here.map_or(f64::INFINITY, f64::from));

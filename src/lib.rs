@@ -1,4 +1,5 @@
 //! Jammed packings of soft and deformable particles in two dimensions.
+
 pub mod cli;
 pub mod comm;
 pub mod commands;

@@ -8,7 +8,7 @@ mod reduction;
 
 pub use exact_sum::{ExactSum, Grid};
 pub use halo::Halo;
-pub use reduction::Totals;
+pub use reduction::{FusedSums, Sums, Totals};
 
 use mpi::collective::UnsafeUserOperation;
 use mpi::point_to_point::{Destination, Source};
@@ -97,10 +97,10 @@ impl Comm {
     /// Combines the partial totals of all ranks, in place, in one collective operation.
     pub fn combine(&self, totals: &mut Totals) {
         if let (Some(group), Some(fold)) = (self.peers(), &self.fold) {
-            let mine = totals.to_words();
-            let mut all = [0i64; Totals::WORDS];
+            let mine = totals.to_block();
+            let mut all = reduction::Block::default();
             group.all_reduce_into(&mine, &mut all, fold);
-            *totals = Totals::from_words(all);
+            *totals = Totals::from_block(all);
         }
     }
 

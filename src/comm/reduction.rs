@@ -1,4 +1,4 @@
-use super::ExactSum;
+use super::{ExactSum, Grid};
 use std::ffi::{c_int, c_void};
 
 /// Sums and maxima of one step, combined over all ranks in a single collective operation.
@@ -6,26 +6,42 @@ use std::ffi::{c_int, c_void};
 pub struct Totals {
     /// Order-independent partial sums; their grids must be equal on all ranks.
     pub sums: [ExactSum; Totals::SUMS],
-    /// Non-negative maxima; NaN wins.
-    pub maxima: [f64; Totals::MAXIMA],
+    /// Largest magnitude of the terms of each sum; NaN wins.
+    pub maxima: [f64; Totals::SUMS],
 }
 
 impl Totals {
+    /// How many sums share a reduction.
     pub const SUMS: usize = 3;
-    pub const MAXIMA: usize = 2;
-    pub(super) const WORDS: usize = 2 * Self::SUMS + Self::MAXIMA;
+    const WORDS: usize = 3 * Self::SUMS;
+
+    /// Adds one term to each sum.
+    #[inline(always)]
+    pub fn add(&mut self, grids: &[Grid; Self::SUMS], terms: [f64; Self::SUMS]) {
+        for k in 0..Self::SUMS {
+            self.sums[k].add(grids[k], terms[k]);
+            // as integers: the bits of non-negative numbers are ordered, and NaN lies above infinity
+            let size = terms[k].abs().to_bits();
+            self.maxima[k] = f64::from_bits(self.maxima[k].to_bits().max(size));
+        }
+    }
+
+    /// Of two partial totals.
+    pub fn merged(mut self, other: Totals) -> Totals {
+        self.merge(&other);
+        self
+    }
 
     pub fn merge(&mut self, other: &Totals) {
         for (sum, &term) in self.sums.iter_mut().zip(&other.sums) {
             sum.merge(term);
         }
         for (most, &x) in self.maxima.iter_mut().zip(&other.maxima) {
-            // as integers: the bits of non-negative numbers are ordered, and NaN lies above infinity
             *most = f64::from_bits(most.to_bits().max(x.to_bits()));
         }
     }
 
-    pub(super) fn to_words(self) -> [i64; Self::WORDS] {
+    pub(super) fn to_block(self) -> Block {
         let mut words = [0; Self::WORDS];
         for (pair, sum) in words.chunks_exact_mut(2).zip(&self.sums) {
             pair.copy_from_slice(&sum.limbs);
@@ -33,10 +49,10 @@ impl Totals {
         for (word, most) in words[2 * Self::SUMS..].iter_mut().zip(&self.maxima) {
             *word = most.to_bits() as i64;
         }
-        words
+        Block { words }
     }
 
-    pub(super) fn from_words(words: [i64; Self::WORDS]) -> Self {
+    pub(super) fn from_block(Block { words }: Block) -> Self {
         Totals {
             sums: std::array::from_fn(|k| ExactSum { limbs: [words[2 * k], words[2 * k + 1]] }),
             maxima: std::array::from_fn(|k| f64::from_bits(words[2 * Self::SUMS + k] as u64)),
@@ -44,11 +60,60 @@ impl Totals {
     }
 }
 
-/// The MPI user function of [`Totals::merge`]. Each element is one whole block of words, so that an implementation
-/// that cuts long vectors can never separate them.
+/// Three sums taken again and again: their grids follow the terms, so that nearly always one reduction is enough.
+#[derive(Clone, Copy, Debug)]
+pub struct FusedSums {
+    pub grids: [Grid; Totals::SUMS],
+}
+
+/// What a fused reduction gives.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sums {
+    pub sum: [f64; Totals::SUMS],
+    /// Largest magnitude of a term.
+    pub max: [f64; Totals::SUMS],
+}
+
+impl Default for FusedSums {
+    fn default() -> Self {
+        FusedSums { grids: [Grid::for_terms_up_to(1.0); Totals::SUMS] }
+    }
+}
+
+impl FusedSums {
+    /// The sums, if the grids they were taken on suited their terms; else nothing, and they must be taken again on the
+    /// grids as they are now. Terms that are not finite are answered as they are.
+    pub fn settle(&mut self, totals: &Totals) -> Option<Sums> {
+        let suits = |k: usize| {
+            let (most, limit) = (totals.maxima[k], self.grids[k].limit());
+            most == 0.0 || !most.is_finite() || (most <= limit && most >= limit * COARSEST)
+        };
+        let suited = (0..Totals::SUMS).all(suits);
+        let sum = std::array::from_fn(|k| totals.sums[k].value(self.grids[k]));
+        for (grid, &most) in self.grids.iter_mut().zip(&totals.maxima) {
+            if most > 0.0 && most.is_finite() {
+                *grid = Grid::for_terms_up_to(16.0 * most);
+            }
+        }
+        suited.then_some(Sums { sum, max: totals.maxima })
+    }
+}
+
+/// A grid this much too large still resolves the largest term to 2⁻⁵⁰.
+const COARSEST: f64 = 1.0 / (1u64 << 20) as f64;
+
+/// [`Totals`] as one element of an MPI message. To MPI a plain array would be that many elements, which an
+/// implementation may fold in parts.
+#[derive(Clone, Copy, Default, mpi::traits::Equivalence)]
+#[repr(C)]
+pub(super) struct Block {
+    words: [i64; Totals::WORDS],
+}
+
+/// The MPI user function of [`Totals::merge`].
 ///
 /// # Safety
-/// MPI calls it with `len` blocks of `Totals::WORDS` words in both arrays.
+/// MPI calls it with `len` elements in both arrays, which must have been declared as [`Block`].
 pub(super) unsafe extern "C" fn fold_raw(
     incoming: *mut c_void,
     combined: *mut c_void,
@@ -59,14 +124,14 @@ pub(super) unsafe extern "C" fn fold_raw(
     let (incoming, combined) = unsafe {
         let n = *len as usize;
         (
-            std::slice::from_raw_parts(incoming.cast::<[i64; Totals::WORDS]>(), n),
-            std::slice::from_raw_parts_mut(combined.cast::<[i64; Totals::WORDS]>(), n),
+            std::slice::from_raw_parts(incoming.cast::<Block>(), n),
+            std::slice::from_raw_parts_mut(combined.cast::<Block>(), n),
         )
     };
     for (whole, part) in combined.iter_mut().zip(incoming) {
-        let mut totals = Totals::from_words(*whole);
-        totals.merge(&Totals::from_words(*part));
-        *whole = totals.to_words();
+        let mut totals = Totals::from_block(*whole);
+        totals.merge(&Totals::from_block(*part));
+        *whole = totals.to_block();
     }
 }
 
@@ -94,13 +159,36 @@ mod tests {
         let mut left = merged(&[1]);
         left.merge(&merged(&[2, 3]));
         assert_eq!(left, merged(&[1, 2, 3]));
-        assert_eq!(Totals::from_words(left.to_words()), left);
+        assert_eq!(Totals::from_block(left.to_block()), left);
+    }
+
+    #[test]
+    fn grids_follow_the_terms() {
+        let mut fused = FusedSums::default();
+        for size in [1e-12, 1e-12, 1e9, 2e9] {
+            let terms = [size, -0.5 * size, size * size];
+            let mut tries = 0;
+            let sums = loop {
+                tries += 1;
+                let mut totals = Totals::default();
+                totals.add(&fused.grids, terms);
+                totals.add(&fused.grids, terms);
+                if let Some(sums) = fused.settle(&totals) {
+                    break sums;
+                }
+            };
+            assert!(tries <= 2, "{size}: {tries}");
+            for k in 0..3 {
+                assert!((sums.sum[k] - 2.0 * terms[k]).abs() <= 1e-13 * terms[k].abs());
+                assert_eq!(sums.max[k], terms[k].abs());
+            }
+        }
     }
 
     #[test]
     fn nan_wins_a_maximum() {
         let mut t = sample(1);
-        t.merge(&Totals { maxima: [f64::NAN; Totals::MAXIMA], ..Totals::default() });
+        t.merge(&Totals { maxima: [f64::NAN; Totals::SUMS], ..Totals::default() });
         t.merge(&sample(2));
         assert!(t.maxima.iter().all(|m| m.is_nan()));
     }

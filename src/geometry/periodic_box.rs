@@ -92,12 +92,13 @@ impl PeriodicBox {
         a.plus(self.raw(by))
     }
 
-    /// A Cartesian vector shorter than half the box in raw fixed-point units.
+    /// A Cartesian vector shorter than half the box in raw fixed-point units. Cut off, not rounded: half a unit of
+    /// 5·10⁻²⁰ of the box is nothing, and rounding is a library call on the oldest processors.
     #[inline(always)]
     fn raw(&self, v: Vec2) -> [i64; 2] {
         let x = (v[0] - v[1] * self.inverse[2]) * self.inverse[0];
         let y = v[1] * self.inverse[1];
-        [x.round_ties_even() as i64, y.round_ties_even() as i64]
+        [x as i64, y as i64]
     }
 
     /// Cartesian position in the cell, both fractions in [0, 1).

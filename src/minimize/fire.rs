@@ -1,5 +1,5 @@
 use super::{Goal, Minimized, Minimizer, Report};
-use crate::comm::{ExactSum, Grid, Totals};
+use crate::comm::{FusedSums, Grid, Sums, Totals};
 use crate::engine::{EngineError, System};
 use crate::geometry::{Vec2, dot};
 use crate::model::Model;
@@ -31,6 +31,9 @@ const DELAY: u32 = 20;
 const STEP_START: f64 = 0.1;
 /// Smallest time step over the largest: below it FIRE would stand still with unbalanced forces.
 const STEP_LEAST: f64 = 0.01;
+
+/// Steps between looks at whether any two particles still touch.
+const FREE_INTERVAL: u64 = 100;
 /// Forces beyond this, in the scene's units, can only come from a broken state.
 const RUNAWAY: f64 = 1e12;
 
@@ -44,32 +47,27 @@ struct Norms {
     max_velocity: f64,
 }
 
-/// Bounds on |F| and |v| of any point, from which the grids of the exact sums are made.
-#[derive(Clone, Copy, Debug)]
-struct Bounds {
-    force: f64,
-    velocity: f64,
-}
-
 impl Minimizer for Fire {
     fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
         let largest_step = self.time_step_factor * system.model.time_step();
         let cap = system.model.step_cap();
         system.carry(1);
         let (mut dt, mut alpha, mut uphill_free) = (STEP_START * largest_step, ALPHA_START, 0u32);
-        let mut bounds = Bounds { force: 1.0, velocity: 0.0 };
+        let mut sums = FusedSums::default();
         let mut report = Report::default();
         loop {
-            let norms = measure(system, &mut bounds)?;
+            let norms = measure(system, &mut sums)?;
             report.force_evaluations += 1;
             report.max_force = norms.max_force;
-            // not "≥": NaN must end the run too
-            if !(norms.max_force < RUNAWAY) {
+            if norms.max_force.is_nan() || norms.max_force >= RUNAWAY {
                 let particle = system.offender(RUNAWAY).unwrap_or_default();
                 return Err(EngineError::Runaway { particle });
             }
             if norms.max_force <= goal.force_tolerance {
                 return Ok(Minimized::Converged(report));
+            }
+            if goal.stop_when_free && report.iterations % FREE_INTERVAL == 0 && system.energies()?.contact == 0.0 {
+                return Ok(Minimized::Free(report));
             }
             if report.iterations >= goal.max_iterations {
                 return Ok(Minimized::Unconverged(report));
@@ -120,51 +118,32 @@ impl Minimizer for Fire {
 
 /// Forces at the present positions, and the norms of the step: one fused reduction, repeated only when forces or
 /// velocities have outgrown the grids of the sums.
-fn measure<M: Model>(system: &mut System<M>, bounds: &mut Bounds) -> Result<Norms, EngineError> {
-    let mut evaluated = false;
-    loop {
-        let grids = [
-            Grid::for_terms_up_to(bounds.force * bounds.velocity),
-            Grid::for_terms_up_to(bounds.force * bounds.force),
-            Grid::for_terms_up_to(bounds.velocity * bounds.velocity),
-        ];
-        let partial = |forces: &[Vec2], velocities: &[Vec2]| {
-            let mut sums = [ExactSum::default(); Totals::SUMS];
-            let mut maxima = [0.0f64; Totals::MAXIMA];
-            for (&f, &v) in forces.iter().zip(velocities) {
-                let (power, force2, velocity2) = (dot(f, v), dot(f, f), dot(v, v));
-                sums[0].add(grids[0], power);
-                sums[1].add(grids[1], force2);
-                sums[2].add(grids[2], velocity2);
-                // as integers, so that NaN wins
-                maxima[0] = f64::from_bits(maxima[0].to_bits().max(force2.to_bits()));
-                maxima[1] = f64::from_bits(maxima[1].to_bits().max(velocity2.to_bits()));
-            }
-            Totals { sums, maxima }
-        };
-        let merge = |mut a: Totals, b: Totals| {
-            a.merge(&b);
-            a
-        };
-        let mut totals = if evaluated {
-            let velocities = &system.particles().carried[0];
-            partial(system.forces(), velocities)
-        } else {
-            let reduce = |chunk: &crate::threads::Chunk, particles: &crate::particles::Particles, forces: &[Vec2]| {
-                partial(forces, &particles.carried[0][chunk.points.clone()])
-            };
-            system.evaluate(reduce, merge)?.unwrap_or_default()
-        };
-        evaluated = true;
-        system.comm.combine(&mut totals);
-        let [max_force, max_velocity] = totals.maxima.map(f64::sqrt);
-        let fits = !(max_force > bounds.force || max_velocity > bounds.velocity);
-        let finite = max_force.is_finite() && max_velocity.is_finite();
-        // room to grow, so that the next step needs one reduction only
-        *bounds = Bounds { force: 4.0 * max_force, velocity: 4.0 * max_velocity };
-        if fits || !finite {
-            let [power, force2, velocity2] = std::array::from_fn(|k| totals.sums[k].value(grids[k]));
-            return Ok(Norms { power, force2, velocity2, max_force, max_velocity });
+fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums) -> Result<Norms, EngineError> {
+    let partial = |grids: &[Grid; Totals::SUMS], forces: &[Vec2], velocities: &[Vec2]| {
+        let mut totals = Totals::default();
+        for (&f, &v) in forces.iter().zip(velocities) {
+            totals.add(grids, [dot(f, v), dot(f, f), dot(v, v)]);
         }
+        totals
+    };
+    let grids = fused.grids;
+    let mut totals = system
+        .evaluate(
+            |chunk, particles, forces| partial(&grids, forces, &particles.carried[0][chunk.points.clone()]),
+            Totals::merged,
+        )?
+        .unwrap_or_default();
+    loop {
+        system.comm.combine(&mut totals);
+        if let Some(Sums { sum, max }) = fused.settle(&totals) {
+            return Ok(Norms {
+                power: sum[0],
+                force2: sum[1],
+                velocity2: sum[2],
+                max_force: max[1].sqrt(),
+                max_velocity: max[2].sqrt(),
+            });
+        }
+        totals = partial(&fused.grids, system.forces(), &system.particles().carried[0]);
     }
 }

@@ -42,25 +42,40 @@ impl Contact for EdgeEdge {
 
     #[inline(always)]
     fn for_each_touch(law: Harmonic, view: &View<EdgeEdgeList>, particle: usize, mut visit: impl FnMut(Touch)) {
-        let points = view.particles.bodies.points(particle);
-        for point in points.clone() {
-            let next = if point + 1 < points.end { point + 1 } else { points.start };
-            let ends = [point - points.start, next - points.start];
-            for pair in view.lists.edges.row(point) {
-                let ours = view.displacement(next as u32, point as u32);
-                let theirs = view.displacement(pair.ends[1], pair.ends[0]);
-                // both owners evaluate the pair in the same order, to the same bits
-                let (t, d) = if pair.ours_first {
-                    let (t, _, d) = nearest(view.displacement(pair.ends[0], point as u32), ours, theirs);
-                    (t, d)
-                } else {
-                    let (_, t, d) = nearest(view.displacement(point as u32, pair.ends[0]), theirs, ours);
-                    (t, [-d[0], -d[1]])
-                };
-                let d2 = dot(d, d);
-                if d2 < law.delta * law.delta {
-                    visit(touch(law, 1.0, [(ends[0], 1.0 - t), (ends[1], t)], pair.ends[0], d, d2.sqrt()));
-                }
+        let origin = view.particles.bodies.points(particle).start;
+        for_each_pair(view, particle, |[a, b], [c, _], t, _, d| {
+            let d2 = dot(d, d);
+            if d2 < law.delta * law.delta {
+                let ours = [(a as usize - origin, 1.0 - t), (b as usize - origin, t)];
+                visit(touch(law, 1.0, ours, c, d, d2.sqrt()));
+            }
+        });
+    }
+}
+
+/// Visits the pairs of an edge of ours and one of another particle: their ends, the nearest positions along each, and
+/// the vector from theirs to ours.
+#[inline(always)]
+fn for_each_pair(
+    view: &View<EdgeEdgeList>,
+    particle: usize,
+    mut visit: impl FnMut([u32; 2], [u32; 2], f64, f64, Vec2),
+) {
+    let points = view.particles.bodies.points(particle);
+    for point in points.clone() {
+        let next = if point + 1 < points.end { point + 1 } else { points.start };
+        let (here, next) = (point as u32, next as u32);
+        for pair in view.lists.edges.row(point) {
+            let [c, e] = pair.ends;
+            let ours = view.displacement(next, here);
+            let theirs = view.displacement(e, c);
+            // both owners evaluate the pair in the same order, to the same bits
+            if pair.ours_first {
+                let (t, s, d) = nearest(view.displacement(c, here), ours, theirs);
+                visit([here, next], pair.ends, t, s, d);
+            } else {
+                let (s, t, d) = nearest(view.displacement(here, c), theirs, ours);
+                visit([here, next], pair.ends, t, s, [-d[0], -d[1]]);
             }
         }
     }

@@ -27,17 +27,21 @@ impl SoftDisks {
         i: usize,
     ) -> impl Iterator<Item = (u32, Vec2, f64, Harmonic)> + 'a {
         let size = &view.particles.size;
-        let owned = view.particles.len();
-        let diameter = move |j: u32| match (j as usize).checked_sub(owned) {
-            Some(foreign) => view.particles.foreign[foreign].size,
-            None => size[j as usize],
-        };
         view.lists.neighbors.row(i).iter().filter_map(move |&j| {
             let d = view.displacement(i as u32, j);
-            let law = self.law(size[i], diameter(j));
+            let law = self.law(size[i], diameter(view, j));
             let r2 = dot(d, d);
             (r2 < law.delta * law.delta).then(|| (j, d, r2.sqrt(), law))
         })
+    }
+}
+
+/// Diameter of an own or foreign disk.
+#[inline(always)]
+fn diameter(view: &View<DiskList>, j: u32) -> f64 {
+    match (j as usize).checked_sub(view.particles.len()) {
+        Some(foreign) => view.particles.foreign[foreign].size,
+        None => view.particles.size[j as usize],
     }
 }
 

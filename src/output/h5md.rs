@@ -105,6 +105,14 @@ impl ResultsFile {
             // what a killed run left may be all there is of its results
             make_way(&part).and_then(|_| std::fs::File::create(&part)).map(drop).map_err(|e| explain(&e))
         })?;
+        let begun = Self::begin(comm, path, part.clone(), header, particles);
+        if begun.is_err() && comm.is_root() {
+            let _ = std::fs::remove_file(&part); // nothing is in it; the reason is what counts
+        }
+        begun
+    }
+
+    fn begin(comm: &Comm, path: &Path, part: PathBuf, header: &Header, particles: &Particles) -> Result<Self, String> {
         let block = to_blocks(comm, particles, &[])?;
         let file = agree(comm, access(comm).and_then(|fapl| File::with_options().set_fapl(&fapl)?.create(&part)))?;
         on_root(comm, || {
@@ -235,6 +243,7 @@ fn write_fixed_rows(file: &File, block: &Block) -> hdf5::Result<()> {
     let particles = &block.particles;
     let per_particle = (block.ids.start, block.total);
     let per_point = (block.points.start, block.total_points);
+    // creating is collective and writing is not: a rank whose write fails must have created everything
     let mut written = vec![
         write_fixed(&sizes, size_name(&particles.bodies), per_particle, &particles.size)?,
         write_fixed(&points, "id", per_point, &rows(&block.points))?,
@@ -251,7 +260,6 @@ fn write_fixed_rows(file: &File, block: &Block) -> hdf5::Result<()> {
             written.push(write_fixed(&points, "vertex", per_point, &vertex)?);
         }
     }
-    // creating is collective and writing is not: a rank whose write fails must have created everything
     written.into_iter().collect()
 }
 
@@ -264,7 +272,8 @@ fn write_fixed<T: H5Type>(
 ) -> hdf5::Result<hdf5::Result<()>> {
     let builder = group.new_dataset::<T>().fill_time(FillTime::Never).obj_track_times(false);
     let dataset = builder.shape([total]).create(name)?;
-    Ok(write_part(&dataset, vec![start..start + data.len()], data))
+    let rows = start..start + data.len();
+    Ok(write_part(&dataset, vec![rows], data))
 }
 
 pub(super) fn model(bodies: &Bodies) -> &'static str {
@@ -306,8 +315,10 @@ fn write_status(file: &File, failure: Option<&str>) -> hdf5::Result<()> {
 }
 
 fn write_state(file: &File, state: &str) -> hdf5::Result<()> {
-    let text: String = state.chars().filter(|&c| c != '\0').collect();
-    let short = &text[..text.floor_char_boundary(STATUS_BYTES)];
+    let mut short: String = state.chars().filter(|&c| c != '\0').collect();
+    while short.len() > STATUS_BYTES {
+        short.pop();
+    }
     let status: Status = short.parse().map_err(|e| format!("status: {e}"))?;
     file.group("parameters")?.attr("status")?.write_scalar(&status)
 }
@@ -433,7 +444,8 @@ impl Item {
     }
 
     fn write(&self, dataset: &Dataset, frame: usize) -> hdf5::Result<()> {
-        let mut ranges = vec![frame..frame + 1];
+        let sample = frame..frame + 1;
+        let mut ranges = vec![sample];
         if let [_, rest @ ..] = &self.shape[..] {
             ranges.push(self.rows.clone());
             ranges.extend(rest.iter().map(|&n| 0..n));

@@ -86,12 +86,13 @@ impl Results {
 
     /// One number per sample by name: density, pressure, ...
     pub fn series(&self) -> Result<Vec<(String, Vec<f64>)>, OutputError> {
+        let all = 0..self.frames;
         let read = |name: &String| {
-            let values = self.part::<f64>(&format!("{OBSERVABLES}/{name}/value"), vec![0..self.frames])?;
+            let values = self.part::<f64>(&format!("{OBSERVABLES}/{name}/value"), vec![all.clone()])?;
             Ok((name.clone(), values))
         };
-        let all: hdf5::Result<Vec<_>> = self.scalars.iter().map(read).collect();
-        all.map_err(|reason| OutputError::read(&self.path, reason))
+        let series: hdf5::Result<Vec<_>> = self.scalars.iter().map(read).collect();
+        series.map_err(|reason| OutputError::read(&self.path, reason))
     }
 
     fn snapshot(&self, k: usize) -> hdf5::Result<Snapshot> {

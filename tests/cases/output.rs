@@ -2,6 +2,7 @@
 
 use jamhpc::comm::Comm;
 use jamhpc::geometry::{Frac, PeriodicBox};
+use jamhpc::output::render::{Look, write_packing};
 use jamhpc::output::{Frame, Header, OutputError, Results, ResultsFile};
 use jamhpc::particles::{Bodies, Particles};
 use std::path::Path;
@@ -71,4 +72,13 @@ pub fn check(comm: &Comm, path: &Path, polygons: bool, frames: u32) {
             assert_eq!(z[p], noise(id, 77, frame) as f64);
         }
     }
+}
+
+/// Draws the particles of frame 0: the picture must be the same bytes on any number of ranks.
+pub fn draw(comm: &Comm, path: &Path, polygons: bool) -> Result<(), OutputError> {
+    let particles = share(comm, polygons, 0);
+    let values: Vec<f64> = particles.id.iter().map(|&id| id as f64).collect();
+    let contacts: Vec<[u32; 2]> = particles.id.iter().map(|&id| [id, (id + 1) % COUNT]).collect();
+    let look = Look { delta: 0.1, values: &values, value_name: "id", contacts: &contacts, caption: "noise" };
+    write_packing(comm, path, &PeriodicBox::new(9.0, 8.0, 0.25), &particles, &look)
 }

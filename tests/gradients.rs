@@ -1,0 +1,182 @@
+//! Forces and stresses of every energy term against finite differences of the energy, in square and sheared boxes.
+
+use jamhpc::comm::Comm;
+use jamhpc::engine::{Energies, System};
+use jamhpc::exchange::Configuration;
+use jamhpc::geometry::{PeriodicBox, Vec2, dot, norm, scale, sub};
+use jamhpc::model::{Deformable, DeformableParameters, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
+use jamhpc::particles::Particles;
+
+/// Fourth-order central difference of f at 0.
+fn derivative(step: f64, f: impl Fn(f64) -> f64) -> f64 {
+    (8.0 * (f(step) - f(-step)) - (f(2.0 * step) - f(-2.0 * step))) / (12.0 * step)
+}
+
+/// Numbers in (−1, 1) that look random and never change.
+fn noise(k: usize) -> f64 {
+    let x = (k as f64 + 1.0) * 0.618_033_988_749_895;
+    let y = (x - x.floor()) * 57.0 * (1.0 + x.sqrt());
+    2.0 * (y - y.floor()) - 1.0
+}
+
+/// A configuration with all its points moved by a random bit, in a box of another shape.
+fn shaken(text: &str, by: f64, shape: impl Fn(PeriodicBox) -> PeriodicBox) -> (PeriodicBox, Particles) {
+    let configuration = Configuration::read(text).unwrap();
+    let mut particles = configuration.particles(0, 1);
+    let pbox = configuration.pbox();
+    for (k, point) in particles.position.iter_mut().enumerate() {
+        *point = pbox.moved(*point, [by * noise(2 * k), by * noise(2 * k + 1)]);
+    }
+    (shape(pbox), particles)
+}
+
+fn system<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles) -> System<M> {
+    System::new(Comm::alone(), model, pbox, &pbox, particles.clone(), 0.01).unwrap()
+}
+
+fn energies<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles) -> Energies {
+    system(model, pbox, particles).energies().unwrap()
+}
+
+/// Compares all forces and the virial stress with differences of the energy over `step`. The kinks of the contact
+/// terms are points of measure zero: a short step does not meet one.
+fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, step: f64) {
+    let mut here = system(model, pbox, particles);
+    let largest = here.max_force().unwrap();
+    assert!(largest > 0.0, "nothing acts");
+    let stored = here.own_particles();
+    let forces = here.forces().to_vec();
+    for (point, force) in forces.iter().enumerate() {
+        for axis in 0..2 {
+            let slope = derivative(step, |h| {
+                let mut moved = stored.clone();
+                let by = if axis == 0 { [h, 0.0] } else { [0.0, h] };
+                moved.position[point] = pbox.moved(moved.position[point], by);
+                energies(model, pbox, &moved).total
+            });
+            let error = (force[axis] + slope).abs();
+            assert!(error <= 1e-8 * largest, "point {point}, axis {axis}: {} against {}", force[axis], -slope);
+        }
+    }
+    let virial = here.energies().unwrap().virial;
+    let size = virial.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
+    let (lx, ly, xy) = (pbox.lx(), pbox.ly(), pbox.xy());
+    let strains: [(usize, &dyn Fn(f64) -> PeriodicBox); 3] = [
+        (0, &|e| PeriodicBox::new(lx * (1.0 + e), ly, xy * (1.0 + e))),
+        (1, &|e| PeriodicBox::new(lx, ly, xy + e * ly)),
+        (3, &|e| PeriodicBox::new(lx, ly * (1.0 + e), xy)),
+    ];
+    for (component, strained) in strains {
+        let slope = derivative(step, |e| energies(model, strained(e), &stored).total) / pbox.area();
+        assert!((virial[component] + slope).abs() <= 1e-8 * size, "{component}: {} {}", virial[component], -slope);
+    }
+    assert!((virial[1] - virial[2]).abs() <= 1e-12 * size, "no torque: {} {}", virial[1], virial[2]);
+}
+
+const DISKS: &str = include_str!("cases/sp_n64_phi090.json");
+const SHEARED: &str = include_str!("cases/dp_random_sheared.json");
+const SQUARE: &str = include_str!("cases/dp_jammed_rho095.json");
+
+/// Deformable particles in a sheared and a square box, with the contact width at which they press into each other.
+fn deformable() -> [(PeriodicBox, Particles, f64); 2] {
+    let (sheared, first) = shaken(SHEARED, 0.003, |b| b);
+    let (square, second) = shaken(SQUARE, 0.01, |b| b);
+    [(sheared, first, 0.12), (square, second, 0.27)]
+}
+
+fn parameters(line_tension: f64, k_area: f64, epsilon: f64, delta: f64) -> DeformableParameters {
+    let contact = Harmonic { epsilon, delta };
+    DeformableParameters { line_tension, k_area, contact, largest_area_per_vertex: 0.1 }
+}
+
+#[test]
+fn soft_disks() {
+    for xy in [0.0, 2.3] {
+        let (pbox, particles) = shaken(DISKS, 0.05, |b| PeriodicBox::new(b.lx(), b.ly(), xy));
+        check(SoftDisks { epsilon: 1.3, smallest: 1.0 }, pbox, &particles, 1e-5);
+    }
+}
+
+#[test]
+fn line_tension() {
+    for (pbox, particles, delta) in deformable() {
+        check(Deformable::<VertexEdge>::new(parameters(1.7, 0.0, 0.0, delta)), pbox, &particles, 1e-4);
+    }
+}
+
+#[test]
+fn area() {
+    for (pbox, particles, delta) in deformable() {
+        check(Deformable::<VertexEdge>::new(parameters(0.0, 300.0, 0.0, delta)), pbox, &particles, 1e-4);
+    }
+}
+
+#[test]
+fn vertex_edge_contacts() {
+    for (pbox, particles, delta) in deformable() {
+        check(Deformable::<VertexEdge>::new(parameters(0.0, 0.0, 50.0, delta)), pbox, &particles, 2e-6);
+    }
+}
+
+#[test]
+fn edge_edge_contacts() {
+    for (pbox, particles, delta) in deformable() {
+        check(Deformable::<EdgeEdge>::new(parameters(0.0, 0.0, 50.0, delta)), pbox, &particles, 2e-6);
+    }
+}
+
+#[test]
+fn all_terms_together() {
+    for (pbox, particles, delta) in deformable() {
+        check(Deformable::<VertexEdge>::new(parameters(1.0, 300.0, 50.0, delta)), pbox, &particles, 5e-6);
+    }
+}
+
+/// Distance of the point p from the segment a…a + u by the textbook formula, all relative to a.
+fn distance(p: Vec2, u: Vec2) -> f64 {
+    let t = (dot(p, u) / dot(u, u)).clamp(0.0, 1.0);
+    norm(sub(p, scale(t, u)))
+}
+
+/// Both contact sums written out as they are defined, over all vertices and edges of all pairs.
+#[test]
+fn contact_energies_are_the_sums_that_define_them() {
+    for (pbox, particles, delta) in deformable() {
+        let law = Harmonic { epsilon: 50.0, delta };
+        let energy = |d: f64| if d < delta { law.energy(d) } else { 0.0 };
+        // (start, vector) of every edge, by particle
+        let edges: Vec<Vec<_>> = (0..particles.len())
+            .map(|p| {
+                let points = particles.points_of(p);
+                let n = points.len();
+                (0..n).map(|i| (points[i], pbox.displacement(points[(i + 1) % n], points[i]))).collect()
+            })
+            .collect();
+        let (mut vertex_edge, mut edge_edge) = (0.0, 0.0);
+        for m in 0..edges.len() {
+            for n in (0..edges.len()).filter(|&n| n != m) {
+                for &(a, u) in &edges[m] {
+                    for &(b, v) in &edges[n] {
+                        let from_a = pbox.displacement(b, a);
+                        vertex_edge += energy(distance(from_a, u)) - energy(norm(from_a));
+                        let from_b = scale(-1.0, from_a);
+                        let ends = [
+                            distance(from_a, u),
+                            distance([from_a[0] + v[0], from_a[1] + v[1]], u),
+                            distance(from_b, v),
+                            distance([from_b[0] + u[0], from_b[1] + u[1]], v),
+                        ];
+                        // each pair of particles comes twice
+                        edge_edge += 0.5 * energy(ends.into_iter().fold(f64::INFINITY, f64::min));
+                    }
+                }
+            }
+        }
+        let close = |x: f64, y: f64| (x - y).abs() <= 1e-12 * y && y > 0.0;
+        let constants = parameters(0.0, 0.0, 50.0, delta);
+        let e = energies(Deformable::<VertexEdge>::new(constants), pbox, &particles).contact;
+        assert!(close(e, vertex_edge), "{e} {vertex_edge}");
+        let e = energies(Deformable::<EdgeEdge>::new(constants), pbox, &particles).contact;
+        assert!(close(e, edge_edge), "{e} {edge_edge}");
+    }
+}

@@ -1,0 +1,89 @@
+//! The same bits on any number of ranks and threads, from one force evaluation to a whole onset search.
+
+use crate::harness::Outcome;
+use crate::systems::*;
+use jamhpc::comm::Comm;
+use jamhpc::engine::System;
+use jamhpc::minimize::{Fire, Goal, Minimizer};
+use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
+use jamhpc::protocol::{OnsetSearch, compress_to, find_onset};
+
+pub fn forces_sp(comm: Comm) -> Outcome {
+    let mut system = random_sp(comm, 1024, unit_box(0.1), 0.9, 0.9);
+    let outcome = describe(&mut system);
+    assert!(system.max_force().unwrap() > 0.5, "random disks overlap deeply");
+    outcome
+}
+
+/// Polygons pushed into each other as rigid wholes, so that contacts of every kind occur.
+fn forces_of_polygons<C: Contact>(comm: Comm) -> Outcome {
+    let mut system = random_dp::<C>(comm, 128, unit_box(0.1), 0.7, 0.9);
+    let tighter = system.pbox().with_area(0.8 * system.pbox().area());
+    system.deform_rigidly(tighter);
+    let outcome = describe(&mut system);
+    assert!(system.energies().unwrap().contact > 1.0);
+    outcome
+}
+
+pub fn forces_dp(comm: Comm) -> Outcome {
+    forces_of_polygons::<VertexEdge>(comm)
+}
+
+pub fn forces_dp_edge_edge(comm: Comm) -> Outcome {
+    forces_of_polygons::<EdgeEdge>(comm)
+}
+
+/// 2,000 steps of FIRE, on the way of which particles change owners and lists are made anew.
+fn fire<M: Model>(mut system: System<M>) -> Outcome {
+    system.prepare().unwrap();
+    let before = system.counters;
+    let goal = Goal { force_tolerance: 0.0, max_iterations: 2000 };
+    let minimized = Fire::default().minimize(&mut system, &goal).unwrap();
+    assert_eq!(minimized.report().iterations, 2000);
+    let rebuilds = system.counters.rebuilds - before.rebuilds;
+    let migrated = system.comm.sum_count(system.counters.migrated - before.migrated);
+    assert!(rebuilds > 2, "lists were made anew {rebuilds} times only");
+    assert!(system.comm.size() == 1 || migrated > 0, "no particle changed its owner");
+    let mut outcome = describe(&mut system);
+    outcome.push(format!("{rebuilds} rebuilds, {:?}", minimized.report()));
+    outcome
+}
+
+pub fn fire_sp(comm: Comm) -> Outcome {
+    fire(random_sp(comm, 1024, unit_box(0.0), 0.9, 0.9))
+}
+
+/// From a loose packing compressed past its onset in one go and sheared by 30 %.
+pub fn fire_dp(comm: Comm) -> Outcome {
+    let mut system = random_dp::<VertexEdge>(comm, 128, unit_box(0.0), 0.75, 0.9);
+    let b = system.pbox().with_area(0.88 * system.pbox().area());
+    system.deform_rigidly(jamhpc::geometry::PeriodicBox::new(b.lx(), b.ly(), 0.3 * b.ly()));
+    fire(system)
+}
+
+/// An onset search and a compression step, with every state on the way.
+fn onset<M: Model>(mut system: System<M>, goal: &Goal, search: &OnsetSearch) -> Outcome {
+    let mut outcome = Vec::new();
+    let fire = Fire::default();
+    let onset = find_onset(&mut system, &fire, goal, search, |density, energies, report| {
+        outcome.push(format!("{density:e} {} {report:?}", hex(&[energies.total, energies.pressure()])));
+    })
+    .unwrap();
+    assert!(onset.steps > 3 && onset.pressure > search.pressure[0] && onset.unjammed < onset.density);
+    let report = compress_to(&mut system, &fire, goal, onset.density + 0.01).unwrap();
+    outcome.push(format!("{onset:?} {report:?}"));
+    outcome.extend(describe(&mut system));
+    outcome
+}
+
+pub fn onset_sp(comm: Comm) -> Outcome {
+    let system = random_sp(comm, 1024, unit_box(0.0), 0.6, 0.95);
+    let goal = Goal { force_tolerance: 1e-7, max_iterations: 100_000 };
+    onset(system, &goal, &OnsetSearch { step: 0.04, smallest_step: 1e-6, pressure: [1e-5, 1e-3] })
+}
+
+pub fn onset_dp(comm: Comm) -> Outcome {
+    let system: System<Deformable<VertexEdge>> = random_dp(comm, 128, unit_box(0.0), 0.7, 0.95);
+    let goal = Goal { force_tolerance: 1e-2, max_iterations: 100_000 };
+    onset(system, &goal, &OnsetSearch { step: 0.02, smallest_step: 1e-6, pressure: [1e-2, 1.0] })
+}
