@@ -17,7 +17,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("engine", &["geometry", "particles", "threads", "decomposition", "neighbor", "model", "comm"]),
     ("minimize", &["geometry", "particles", "threads", "model", "comm", "engine"]),
     ("protocol", &["geometry", "particles", "model", "comm", "engine", "minimize"]),
-    ("observe", &["geometry", "particles", "threads", "neighbor", "model", "comm", "engine"]),
+    ("observe", &["geometry", "particles", "threads", "neighbor", "model", "comm", "engine", "minimize"]),
     ("study", &["geometry", "model", "comm", "engine", "minimize", "protocol", "observe"]),
     ("output", &["geometry", "particles", "comm", "observe"]),
     ("exchange", &["geometry", "particles", "model", "comm", "engine", "minimize", "observe"]),

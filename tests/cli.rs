@@ -170,12 +170,56 @@ fn a_starter_scene_is_valid_and_never_overwritten() {
 }
 
 #[test]
-fn a_run_prints_its_onset_and_one_line_a_sample() {
+fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
     let place = Place::with("scene.toml", QUICK_SP);
-    let outcome = place.jamhpc(&["run", "scene.toml", "-o", "out"]).succeeds();
-    assert!(outcome.stdout.contains("onset: phi_J = 0.8"), "{}", outcome.stdout);
-    let samples = outcome.stdout.lines().filter(|line| line.trim_start().starts_with("0.8"));
-    assert_eq!(samples.count(), 3, "{}", outcome.stdout);
+    let run = place.jamhpc(&["run", "scene.toml", "-o", "out"]).succeeds();
+    assert!(run.stdout.contains("onset: phi_J = 0.8"), "{}", run.stdout);
+    let samples = run.stdout.lines().filter(|line| line.starts_with("0.8"));
+    assert_eq!(samples.count(), 3, "{}", run.stdout);
+    let names = ["packing.png", "packing.svg", "plot.png", "plot.svg", "results.h5"];
+    let expected: Vec<PathBuf> = names.iter().map(|name| place.path().join("out").join(name)).collect();
+    assert_eq!(place.files()[1..6], expected);
+    for name in names {
+        assert!(run.stdout.contains(&format!("kB  out/{name}")), "{}", run.stdout);
+    }
+
+    let info = place.jamhpc(&["info", "out/results.h5"]).succeeds().stdout;
+    assert!(info.contains("complete") && info.contains("32 particles"), "{info}");
+    for picture in ["onset.svg", "onset.png"] {
+        place.jamhpc(&["render", "out/results.h5", "--frame", "0", "--color-by", "pressure", "-o", picture]).succeeds();
+        assert!(place.read(picture).len() > 1000);
+    }
+    let evaluation = place.jamhpc(&["evaluate", "out/results.h5", "--frame", "1"]).succeeds().stdout;
+    assert!(evaluation.starts_with("{\"energy\":"), "{evaluation}");
+    place.jamhpc(&["minimize", "out/results.h5", "-o", "relaxed.json"]).succeeds();
+    place.jamhpc(&["evaluate", "relaxed.json", "-o", "evaluation.json"]).succeeds();
+    assert!(place.read("evaluation.json").starts_with(b"{\"energy\":"));
+
+    place.refuses(&["render", "out/results.h5", "--frame", "3", "-o", "x.svg"], &["no frame 3", "0 to 2"]);
+    place.refuses(&["render", "out/results.h5", "-o", "x.pdf"], &["x.pdf", ".svg or .png"]);
+    place.refuses(&["evaluate", "relaxed.json", "--frame", "0"], &["--frame", "relaxed.json"]);
+    place.refuses(&["run", "out/results.h5"], &["results.h5", "not a text file"]);
+
+    // results are never overwritten
+    let again = place.jamhpc(&["run", "scene.toml", "-o", "out"]).succeeds();
+    assert_eq!(again.stdout.lines().next(), run.stdout.lines().next());
+    assert!(again.stdout.contains("older results are now out/results.1.h5"), "{}", again.stdout);
+    assert_eq!(place.read("out/results.h5"), place.read("out/results.1.h5"));
+}
+
+#[test]
+fn any_number_of_ranks_and_threads_writes_the_same_bytes() {
+    let place = Place::with("scene.toml", &QUICK_SP.replace("32", "64"));
+    let run = |place: &Place, launch: &dyn Fn(&[&str]) -> Outcome| {
+        let outcome = launch(&["run", "scene.toml", "-o", "out"]).succeeds();
+        let table: Vec<String> = outcome.stdout.lines().take(6).map(String::from).collect();
+        let files = ["results.h5", "packing.svg", "plot.svg"].map(|name| place.read(&format!("out/{name}")));
+        (table, files)
+    };
+    let alone = run(&place, &|arguments| place.jamhpc(arguments));
+    let two = run(&place, &|arguments| place.ranks(2, arguments));
+    let threads = run(&place, &|arguments| place.jamhpc(&[arguments, &["--threads", "2"]].concat()));
+    assert!(alone == two && alone == threads);
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -198,6 +242,33 @@ fn bad_scenes_are_refused() {
 fn a_box_in_which_a_particle_meets_its_own_image_is_refused() {
     let place = Place::with("scene.toml", "model = 'sp'\nn_particles = 4\n");
     place.refuses(&["run", "scene.toml"], &["box is too small", "more particles"]);
+}
+
+#[test]
+fn bad_configurations_are_refused() {
+    let square = |corners: &str| {
+        format!(
+            "{{\"model\":\"dp\",\"box\":{{\"lx\":4,\"ly\":4}},\"line_tension\":1,\"k_area\":100,\"epsilon\":10,\
+             \"delta\":0.1,\"n_vertices\":[4],\"a0\":[1],\"vertices\":[{corners}]}}"
+        )
+    };
+    let disks = |rest: &str| format!("{{\"model\":\"sp\",\"box\":{{\"lx\":1,\"ly\":4}},\"epsilon\":1,{rest}}}");
+    let place = Place::new();
+    place.write("right.json", &square("[0,0],[1,0],[1,1],[0,1]"));
+    place.jamhpc(&["evaluate", "right.json"]).succeeds();
+    for (text, expected) in [
+        (String::new(), "empty"),
+        ("{".into(), "not JSON"),
+        (square("[0,0],[0,1],[1,1],[1,0]"), "clockwise"),
+        (square("[0,0],[1,1],[1,0],[0,1.5]"), "crosses itself"),
+        (square("[0,0],[1,0],[1,1]"), "`vertices`"),
+        (disks("\"diameters\":[1],\"positions\":[[0,0]]"), "box is too small"),
+        (disks("\"diameters\":[1],\"positions\":[[0,0]],\"delta\":1"), "`delta`"),
+    ] {
+        place.write("bad.json", &text);
+        place.refuses(&["evaluate", "bad.json"], &["bad.json", expected]);
+        place.refuses(&["minimize", "bad.json", "-o", "out.json"], &["bad.json", expected]);
+    }
 }
 
 #[test]
@@ -263,4 +334,19 @@ fn a_state_that_does_not_converge_ends_with_its_own_code() {
     let few = ["run", "scene.toml", "-o", "out", "--set", "minimize.max_iterations=3"];
     place.jamhpc(&few).fails_with(3, &["not converged", "minimize.max_iterations"]);
     place.ranks(2, &few).fails_with(3, &["not converged"]);
+    let info = place.jamhpc(&["info", "out/results.h5"]).succeeds().stdout;
+    assert!(info.contains("ended early: not converged") && info.contains("samples    0"), "{info}");
+}
+
+#[test]
+fn a_relaxation_that_does_not_converge_hands_its_state_on() {
+    let place = Place::new();
+    let disks = "{\"model\":\"sp\",\"box\":{\"lx\":4,\"ly\":4},\"epsilon\":1,\
+                 \"diameters\":[1,1],\"positions\":[[0,0],[0.5,0]]}";
+    place.write("start.json", disks);
+    let outcome = place.jamhpc(&["minimize", "start.json", "-o", "end.json", "--max-iterations", "2"]);
+    outcome.fails_with(3, &["not converged", "end.json", "--max-iterations"]);
+    assert!(String::from_utf8(place.read("end.json")).unwrap().contains("\"converged\":false"));
+    place.jamhpc(&["minimize", "end.json", "-o", "end.json"]).succeeds();
+    assert!(String::from_utf8(place.read("end.json")).unwrap().contains("\"converged\":true"));
 }

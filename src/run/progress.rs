@@ -1,4 +1,5 @@
-//! What a run says on the standard error while it works: plain lines at intervals, one line rewritten on a terminal.
+//! What a run says on the standard error while it works: plain lines at intervals, one line rewritten on a terminal, and
+//! every state as a log event (`--log-format json`, or `--log-level info`).
 
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -25,6 +26,7 @@ impl Progress {
 
     /// A minimised state; shown if it is time for it.
     pub fn state(&mut self, phase: &str, density: f64, pressure: f64, iterations: u64) {
+        tracing::info!(phase, density, pressure, iterations, "minimised");
         let interval = if self.terminal { TERMINAL_INTERVAL } else { INTERVAL };
         if !self.speaks || self.last.is_some_and(|last| last.elapsed() < interval) {
             return;
