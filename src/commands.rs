@@ -2,7 +2,12 @@
 
 use crate::cli::{Cli, Command, LogFormat, RunOptions, Settings, Starter};
 use crate::comm::{Comm, Session};
+use crate::exchange;
 use crate::failure::{Failure, exit};
+use crate::frames::{self, Frame};
+use crate::minimize::{Fire, Goal, Minimized, Report};
+use crate::output::folder::write_whole;
+use crate::output::info;
 use crate::run;
 use crate::scene::{self, Scene};
 use std::path::Path;
@@ -24,12 +29,44 @@ pub fn dispatch(session: &Session, cli: Cli) -> u8 {
 
 fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
     let comm = session.world();
-    let json = cli.settings.log_format == LogFormat::Json;
+    // logs that a program reads are not to be mixed with lines for people
+    let speaks = cli.settings.log_format == LogFormat::Text;
     match &cli.command {
-        None => run::run(comm, &read_scene(&session.world(), None, &cli.options)?, !json),
+        None => {
+            let scene = read_scene(&comm, None, &cli.options)?;
+            run::run(comm, &scene, speaks)
+        }
         Some(Command::Run { scene, options, check }) => {
             let scene = read_scene(&comm, Some(scene), options)?;
-            if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, !json) }
+            if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, speaks) }
+        }
+        Some(Command::Evaluate { file, frame, output }) => {
+            let text = read_configuration(&comm, file, *frame)?;
+            let evaluation = exchange::evaluate(comm, &text, &file.display().to_string())?;
+            match output {
+                None => print(&session.world(), &evaluation),
+                Some(output) => write(&session.world(), output, &evaluation),
+            }
+        }
+        Some(Command::Minimize { file, frame, output, force_tolerance, max_iterations }) => {
+            let text = read_configuration(&comm, file, *frame)?;
+            let goal =
+                Goal { force_tolerance: *force_tolerance, max_iterations: *max_iterations, stop_when_free: false };
+            let (relaxed, outcome) =
+                exchange::minimize(comm, &text, &file.display().to_string(), &Fire::default(), &goal)?;
+            write(&session.world(), output, &relaxed)?;
+            report(outcome, &goal, output)
+        }
+        Some(Command::Render { file, frame, color_by, output }) => {
+            let ending = output.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+            if !["svg", "png"].contains(&ending.as_str()) {
+                return Err(Failure::Input(format!("cannot draw {}: name it .svg or .png", output.display())));
+            }
+            frames::render(comm, file, *frame, *color_by, output)
+        }
+        Some(Command::Info { file }) => {
+            let text = comm.from_root(|| Ok::<_, Failure>(info(file)?.into_bytes()))?;
+            print(&comm, &String::from_utf8_lossy(&text))
         }
         Some(Command::Init { model, output }) => {
             let text = match model {
@@ -41,8 +78,21 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
                 Some(file) => write_new(&comm, file, text),
             }
         }
-        Some(_) => Err(Failure::Other("not yet".into())),
     }
+}
+
+/// What a minimisation came to; one that did not converge is a failure, though its state has been written.
+fn report(outcome: Minimized, goal: &Goal, output: &Path) -> Result<(), Failure> {
+    let Report { iterations, max_force, .. } = outcome.report();
+    if outcome.is_converged() {
+        return Ok(());
+    }
+    Err(Failure::NotConverged(format!(
+        "not converged: max|F| = {max_force:.3e} is above {:e} after {iterations} iterations. The state so far is in \
+         {}, marked as not converged: go on from it, raise --max-iterations or loosen --force-tolerance",
+        goal.force_tolerance,
+        output.display()
+    )))
 }
 
 /// Threads and logs, before any work.
@@ -84,6 +134,29 @@ fn read_scene(comm: &Comm, file: Option<&Path>, options: &RunOptions) -> Result<
     Ok(scene)
 }
 
+/// A configuration in the exchange format, from such a file or from a frame of a results file.
+fn read_configuration(comm: &Comm, file: &Path, frame: Frame) -> Result<String, Failure> {
+    let is_results = comm.from_root(|| Ok::<_, Failure>(vec![is_hdf5(file) as u8]))? == [1];
+    if !is_results {
+        if frame.is_some() {
+            let file = file.display();
+            return Err(Failure::Input(format!("--frame is for results files, and {file} is none: leave it out")));
+        }
+        return read_text(comm, file);
+    }
+    let bytes = comm.from_root(|| {
+        let configuration = frames::configuration(file, frame)?;
+        serde_json::to_vec(&configuration).map_err(|e| Failure::Other(e.to_string()))
+    })?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+fn is_hdf5(file: &Path) -> bool {
+    let mut start = [0; 8];
+    let read = std::fs::File::open(file).and_then(|mut file| std::io::Read::read_exact(&mut file, &mut start));
+    read.is_ok() && start == *b"\x89HDF\r\n\x1a\n"
+}
+
 /// A text file, read by rank 0.
 fn read_text(comm: &Comm, file: &Path) -> Result<String, Failure> {
     let bytes = comm.from_root(|| {
@@ -101,6 +174,15 @@ fn print(comm: &Comm, text: &str) -> Result<(), Failure> {
     if comm.is_root() {
         let _ = std::io::Write::write_all(&mut std::io::stdout(), text.as_bytes());
     }
+    Ok(())
+}
+
+/// Writes a file on rank 0, whole or not at all.
+fn write(comm: &Comm, file: &Path, text: &str) -> Result<(), Failure> {
+    comm.from_root(|| {
+        let written = write_whole(file, text.as_bytes()).map(|()| Vec::new());
+        written.map_err(|e| Failure::Input(e.to_string()))
+    })?;
     Ok(())
 }
 

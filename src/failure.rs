@@ -1,6 +1,8 @@
 //! How a command ends when it cannot give its result: one message, one exit code, the same on every rank.
 
 use crate::engine::EngineError;
+use crate::exchange::ExchangeError;
+use crate::output::OutputError;
 use crate::protocol::ProtocolError;
 use crate::scene::SceneError;
 
@@ -63,6 +65,24 @@ impl From<EngineError> for Failure {
         match error {
             EngineError::TooManyRanks(_) | EngineError::BoxTooSmall { .. } => Failure::Input(error.to_string()),
             EngineError::Runaway { .. } | EngineError::Crossing(..) => Failure::Other(error.to_string()),
+        }
+    }
+}
+
+impl From<ExchangeError> for Failure {
+    fn from(error: ExchangeError) -> Self {
+        match error {
+            ExchangeError::Engine { source: EngineError::Runaway { .. }, .. } => Failure::Other(error.to_string()),
+            _ => Failure::Input(error.to_string()),
+        }
+    }
+}
+
+impl From<OutputError> for Failure {
+    fn from(error: OutputError) -> Self {
+        match error {
+            OutputError::Read { .. } => Failure::Input(error.to_string()),
+            OutputError::Write { .. } => Failure::Other(error.to_string()),
         }
     }
 }

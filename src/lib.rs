@@ -7,6 +7,7 @@ pub mod decomposition;
 pub mod engine;
 pub mod exchange;
 pub mod failure;
+pub mod frames;
 pub mod geometry;
 pub mod minimize;
 pub mod model;

@@ -279,7 +279,7 @@ impl DpPhysics {
 
     /// Rest area (l^2) of a polygon of `n_vertices`: it grows with n_vertices^2, so that all species have edges of one
     /// length, and l = (sqrt(a_S0) + sqrt(a_L0))/2 = 1.
-    fn rest_area(&self, n_vertices: usize) -> f64 {
+    pub fn rest_area(&self, n_vertices: usize) -> f64 {
         let (smallest, largest) = self.extreme_n_vertices();
         (2.0 * n_vertices as f64 / (smallest + largest) as f64).powi(2)
     }

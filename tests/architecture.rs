@@ -20,9 +20,14 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("observe", &["geometry", "particles", "threads", "neighbor", "model", "comm", "engine"]),
     ("study", &["geometry", "model", "comm", "engine", "minimize", "protocol", "observe"]),
     ("output", &["geometry", "particles", "comm", "observe"]),
+    ("exchange", &["geometry", "particles", "model", "comm", "engine", "minimize", "observe"]),
+    ("scene", &[]),
     // the edge, where everything is put together
-    ("scene", ANY),
+    ("failure", &["engine", "exchange", "output", "protocol", "scene"]),
+    ("run", ANY),
+    ("frames", ANY),
     ("cli", ANY),
+    ("commands", ANY),
     ("lib", ANY),
     ("main", ANY),
 ];

@@ -12,8 +12,8 @@ const TABLE: [(&str, &str); 7] = [
     ("packing_fraction", "packing"),
     ("contact_number", "z"),
     ("pressure", "pressure"),
-    ("shape_parameter", "shape"),
-    ("energy", "energy"),
+    ("shape_parameter_relative", "shape"),
+    ("energy_total", "energy"),
     ("max_force", "max|F|"),
 ];
 

@@ -114,7 +114,7 @@ fn run_axes(series: &[(String, Vec<f64>)]) -> Vec<Axes> {
     const PANELS: [(&str, &str); 4] = [
         ("contact_number", "contact number z"),
         ("pressure", "pressure p"),
-        ("shape_parameter", "shape parameter"),
+        ("shape_parameter_relative", "shape parameter"),
         ("packing_fraction", "packing fraction"),
     ];
     let find = |name: &str| series.iter().find(|(n, _)| n == name).map(|(_, values)| values);

@@ -1,18 +1,23 @@
 //! A scene from beginning to end: random start, onset search, compression, and what is kept of it.
 
+pub mod drawing;
 mod progress;
-mod setup;
+mod records;
+pub mod setup;
 mod table;
 
 use crate::comm::Comm;
-use crate::engine::System;
+use crate::engine::{EngineError, System};
 use crate::failure::Failure;
 use crate::minimize::{Fire, Minimizer, Report};
 use crate::model::{EdgeEdge, Model, VertexEdge};
-use crate::protocol::{compress_to, find_onset};
+use crate::observe::{OnsetBracket, Rattlers, Sample, check_no_crossing};
+use crate::output::Folder;
+use crate::protocol::{Onset, compress_to, find_onset};
 use crate::scene::{Contact, Method, Physics, Scene};
 use progress::Progress;
-use table::Row;
+use records::Records;
+use std::path::Path;
 
 /// Runs a scene. The types of its model are chosen here, once; `speaks` allows progress lines.
 pub fn run(comm: Comm, scene: &Scene, speaks: bool) -> Result<(), Failure> {
@@ -27,51 +32,78 @@ pub fn run(comm: Comm, scene: &Scene, speaks: bool) -> Result<(), Failure> {
 
 fn minimized_by<M: Model>(system: System<M>, scene: &Scene, speaks: bool) -> Result<(), Failure> {
     match scene.minimize.method {
-        Method::Fire => onset_and_compression(system, &Fire::default(), scene, speaks),
+        Method::Fire => keep(system, &Fire::default(), scene, speaks),
     }
 }
 
-fn onset_and_compression<M: Model>(
+/// Runs the protocol and keeps what it gives: samples as they come, then picture, plot and table. A run that fails
+/// keeps the samples that it had.
+fn keep<M: Model>(
     mut system: System<M>,
     minimizer: &impl Minimizer,
     scene: &Scene,
     speaks: bool,
 ) -> Result<(), Failure> {
-    let is_root = system.comm.is_root();
-    let mut progress = Progress::new(speaks && is_root);
-    let goal = setup::goal(scene);
-
-    let mut last = Report::default();
-    let onset = find_onset(&mut system, minimizer, &goal, &setup::onset_search(scene), |density, energies, report| {
-        last = *report;
-        progress.state("onset", density, energies.pressure(), report.iterations);
-    })?;
-    let mut rows = vec![sample(&mut system, &last)?];
-
-    for density in scene.compression.samples(onset.density) {
-        let report = compress_to(&mut system, minimizer, &goal, density)?;
-        let row = sample(&mut system, &report)?;
-        progress.state("compression", row.packing_fraction, row.pressure, report.iterations);
-        rows.push(row);
-    }
+    let directory = Path::new(&scene.output.directory);
+    // held until the end of the run
+    let folder = Folder::prepare(&system.comm, directory).map_err(|e| Failure::Input(e.to_string()))?;
+    let mut progress = Progress::new(speaks && system.comm.is_root());
+    let mut records = Records::create(&system, scene, &folder)?;
+    let outcome = onset_and_compression(&mut system, minimizer, scene, &mut records, &mut progress);
     progress.finish();
-    if is_root {
-        println!("{}", table::onset_line(scene.model(), &onset));
-        print!("{}", table::table(scene.model(), &rows));
+    let kept = records.finish(&mut system, scene, &folder, outcome.as_ref().err());
+    match outcome {
+        Ok(()) => kept,
+        Err(failure) if kept.is_ok() => {
+            Err(failure.and(&format!("{} samples until then are kept", records.n_samples())))
+        }
+        Err(failure) => Err(failure),
+    }
+}
+
+/// The protocol: a sample at the onset, then at each density of the scene, every one force-balanced and uncrossed.
+fn onset_and_compression<M: Model>(
+    system: &mut System<M>,
+    minimizer: &impl Minimizer,
+    scene: &Scene,
+    records: &mut Records,
+    progress: &mut Progress,
+) -> Result<(), Failure> {
+    let goal = setup::goal(scene);
+    refuse_crossings(system)?;
+    let mut last = Report::default();
+    let onset = find_onset(system, minimizer, &goal, &setup::onset_search(scene), |density, energies, report| {
+        last = *report;
+        progress.state("onset", density, energies.pressure() / scene.pressure_unit(), report.iterations);
+    })?;
+    records.set_onset(onset);
+    sample(system, &last, &onset, records)?;
+    for density in scene.compression.samples(onset.density) {
+        let report = compress_to(system, minimizer, &goal, density)?;
+        let pressure = sample(system, &report, &onset, records)?;
+        progress.state("compression", density, pressure / scene.pressure_unit(), report.iterations);
     }
     Ok(())
 }
 
-fn sample<M: Model>(system: &mut System<M>, report: &Report) -> Result<Row, Failure> {
-    let energies = system.energies()?;
-    Ok(Row {
-        packing_fraction: system.density()?,
-        reduced_number_density: f64::NAN,
-        contact_number: f64::NAN,
-        shape_parameter: f64::NAN,
-        pressure: energies.pressure(),
-        energy: energies.total,
-        max_force: report.max_force,
-        iterations: report.iterations,
-    })
+/// Measures the present state and appends it to the results; answers its pressure.
+fn sample<M: Model>(
+    system: &mut System<M>,
+    report: &Report,
+    onset: &Onset,
+    records: &mut Records,
+) -> Result<f64, Failure> {
+    refuse_crossings(system)?;
+    let (mut sample, columns) = Sample::measure(system, report, Rattlers::default())?;
+    sample.onset = Some(OnsetBracket { onset: onset.density, unjammed: onset.unjammed });
+    let density = system.density()?;
+    records.append(system, density, sample, &columns)?;
+    Ok(sample.pressure())
+}
+
+fn refuse_crossings<M: Model>(system: &mut System<M>) -> Result<(), Failure> {
+    match check_no_crossing(system)? {
+        None => Ok(()),
+        Some((a, b)) => Err(EngineError::Crossing(a, b).into()),
+    }
 }

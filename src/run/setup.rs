@@ -6,11 +6,28 @@ use crate::failure::Failure;
 use crate::geometry::PeriodicBox;
 use crate::minimize::Goal;
 use crate::model::{Contact, Deformable, DeformableParameters, Harmonic, SoftDisks};
+use crate::output::Header;
 use crate::protocol::{OnsetSearch, Species, deformable_particles, random_disks};
-use crate::scene::{Compression, DpPhysics, LINE_TENSION, Scene, SpPhysics};
+use crate::scene::{self, Compression, DpPhysics, LINE_TENSION, Physics, Scene, SpPhysics};
 
 /// No packing of disks or polygons of several sizes jams above this density: the hexagonal crystal has 0.907.
 const DENSEST_ONSET: f64 = 0.91;
+
+/// The potential of soft disks.
+pub fn disk_model(sp: &SpPhysics) -> SoftDisks {
+    SoftDisks { epsilon: sp.potential.epsilon, smallest: 1.0 }
+}
+
+/// The potential of deformable particles.
+pub fn deformable_model<C: Contact>(dp: &DpPhysics) -> Deformable<C> {
+    let per_vertex = |&n: &usize| dp.rest_area(n) / n as f64;
+    Deformable::new(DeformableParameters {
+        line_tension: LINE_TENSION,
+        k_area: dp.k_area(),
+        contact: Harmonic { epsilon: dp.epsilon(), delta: dp.potential.delta },
+        largest_area_per_vertex: dp.particles.n_vertices.iter().map(per_vertex).fold(0.0, f64::max),
+    })
+}
 
 /// Soft disks at random centres.
 pub fn soft_disks(comm: Comm, scene: &Scene, sp: &SpPhysics) -> Result<System<SoftDisks>, Failure> {
@@ -19,27 +36,22 @@ pub fn soft_disks(comm: Comm, scene: &Scene, sp: &SpPhysics) -> Result<System<So
         .iter()
         .map(|s| Species { count: s.count as u32, size: s.diameter, n_vertices: 1 })
         .collect();
-    let model = SoftDisks { epsilon: sp.potential.epsilon, smallest: 1.0 };
     let boxes = Boxes::new(scene, &species, 0.0);
     let disks = random_disks(&comm, &species, scene.seed, |s| s.size);
-    Ok(System::new(comm, model, boxes.start, &boxes.smallest, disks, scene.neighbor.skin)?)
+    Ok(System::new(comm, disk_model(sp), boxes.start, &boxes.smallest, disks, scene.neighbor.skin)?)
 }
 
 /// Regular polygons about the same random centres, none crossing another.
 pub fn deformable<C: Contact>(comm: Comm, scene: &Scene, dp: &DpPhysics) -> Result<System<Deformable<C>>, Failure> {
     let delta = dp.potential.delta;
-    let kinds = dp.species(scene.n_particles);
-    let species: Vec<Species> =
-        kinds.iter().map(|s| Species { count: s.count as u32, size: s.a0, n_vertices: s.n_vertices as u32 }).collect();
-    let model = Deformable::new(DeformableParameters {
-        line_tension: LINE_TENSION,
-        k_area: dp.k_area(),
-        contact: Harmonic { epsilon: dp.epsilon(), delta },
-        largest_area_per_vertex: kinds.iter().map(|s| s.a0 / s.n_vertices as f64).fold(0.0, f64::max),
-    });
+    let species: Vec<Species> = dp
+        .species(scene.n_particles)
+        .iter()
+        .map(|s| Species { count: s.count as u32, size: s.a0, n_vertices: s.n_vertices as u32 })
+        .collect();
     let boxes = Boxes::new(scene, &species, delta);
     let (comm, polygons) = deformable_particles(comm, boxes.start, &species, scene.seed, delta)?;
-    Ok(System::new(comm, model, boxes.start, &boxes.smallest, polygons, scene.neighbor.skin)?)
+    Ok(System::new(comm, deformable_model(dp), boxes.start, &boxes.smallest, polygons, scene.neighbor.skin)?)
 }
 
 /// The box of the random start, and the smallest that the run can come to.
@@ -74,6 +86,7 @@ pub fn goal(scene: &Scene) -> Goal {
     Goal {
         force_tolerance: scene.minimize.force_tolerance * scene.force_unit(),
         max_iterations: scene.minimize.max_iterations as u64,
+        stop_when_free: false,
     }
 }
 
@@ -85,6 +98,38 @@ pub fn onset_search(scene: &Scene) -> OnsetSearch {
         pressure: scene.onset.pressure.map(|p| p * scene.pressure_unit()),
     }
 }
+
+/// What a results file says about the scene that it comes from.
+pub fn header(scene: &Scene) -> Header {
+    let (units, contact, potential) = match &scene.physics {
+        Physics::Sp(sp) => (SP_UNITS, "disks", vec![("epsilon", sp.potential.epsilon)]),
+        Physics::Dp(dp) => {
+            let contact = match dp.potential.contact {
+                scene::Contact::VertexEdge => "vertex-edge",
+                scene::Contact::EdgeEdge => "edge-edge",
+            };
+            let constants = vec![
+                ("line_tension", LINE_TENSION),
+                ("k_area", dp.k_area()),
+                ("epsilon", dp.epsilon()),
+                ("delta", dp.potential.delta),
+            ];
+            (DP_UNITS, contact, constants)
+        }
+    };
+    Header {
+        scene: scene.to_toml(),
+        seed: scene.seed,
+        units: units.into(),
+        contact: contact.into(),
+        potential: potential.into_iter().map(|(name, value)| (name.to_string(), value)).collect(),
+    }
+}
+
+const SP_UNITS: &str = "length: sigma_S, the smallest diameter; energy: that in which potential.epsilon is given; \
+    stress: energy/sigma_S^2 (the paper's is epsilon/sigma_LS^2, sigma_LS the mean diameter)";
+const DP_UNITS: &str = "length: l, the mean of sqrt(a0) over the smallest and the largest species; energy: gamma l; \
+    force: gamma; stress: gamma/l";
 
 #[cfg(test)]
 mod tests {

@@ -1,22 +1,8 @@
 //! The summary on the standard output: the onset with its bracket, then one line a sample.
 
+use crate::observe::Sample;
 use crate::protocol::Onset;
-use crate::scene::Model;
-
-/// What the table shows of one sample; a number that does not exist is NaN.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
-    /// rho, true area fraction.
-    pub packing_fraction: f64,
-    /// phi, area of the undeformed particles over the area of the box.
-    pub reduced_number_density: f64,
-    pub contact_number: f64,
-    pub shape_parameter: f64,
-    pub pressure: f64,
-    pub energy: f64,
-    pub max_force: f64,
-    pub iterations: u64,
-}
+use crate::scene::{Model, Scene};
 
 /// The names and units of the columns, one model's.
 fn header(model: Model) -> [[&'static str; 2]; 8] {
@@ -46,25 +32,26 @@ fn header(model: Model) -> [[&'static str; 2]; 8] {
 
 const WIDTHS: [usize; 8] = [8, 8, 6, 10, 13, 12, 11, 10];
 
-/// The whole table, every line ended.
-pub fn table(model: Model, rows: &[Row]) -> String {
+/// The whole table, every line ended. Energies, forces and stresses are in the units of its header.
+pub fn table(scene: &Scene, samples: &[Sample]) -> String {
     let line = |cells: [String; 8]| {
         let padded: Vec<String> = cells.iter().zip(WIDTHS).map(|(cell, width)| format!("{cell:>width$}")).collect();
         padded.join("  ").trim_end().to_string() + "\n"
     };
-    let header = header(model);
+    let header = header(scene.model());
     let mut text = line(header.map(|[name, _]| name.to_string()));
     text += &line(header.map(|[_, unit]| unit.to_string()));
-    for row in rows {
+    for sample in samples {
         text += &line([
-            format!("{:.6}", row.packing_fraction),
-            format!("{:.6}", row.reduced_number_density),
-            format!("{:.3}", row.contact_number),
-            format!("{:.5}", row.shape_parameter),
-            format!("{:.5e}", row.pressure),
-            format!("{:.6e}", row.energy),
-            format!("{:.1e}", row.max_force),
-            row.iterations.to_string(),
+            format!("{:.6}", sample.density.packing_fraction),
+            format!("{:.6}", sample.density.reduced_number_density),
+            format!("{:.3}", sample.contact_number),
+            format!("{:.5}", sample.shape_parameter.relative),
+            format!("{:.5e}", sample.pressure() / scene.pressure_unit()),
+            // the units of length are 1, so that energies and forces have one unit
+            format!("{:.6e}", sample.energies.total / scene.force_unit()),
+            format!("{:.1e}", sample.max_force / scene.force_unit()),
+            sample.iterations.to_string(),
         ]);
     }
     text
@@ -98,20 +85,15 @@ mod tests {
 
     #[test]
     fn columns_line_up() {
-        let row = Row {
-            packing_fraction: 0.84,
-            reduced_number_density: 0.8401,
-            contact_number: 3.97,
-            shape_parameter: 1.02,
-            pressure: 1.3e-6,
-            energy: 271.3,
-            max_force: 9.9e-10,
-            iterations: 12345,
-        };
-        let text = table(Model::Dp, &[row, row]);
+        let scene = Scene::parse("model = 'sp'\n[potential]\nepsilon = 2.0", "test", &[]).unwrap();
+        let mut sample = Sample { contact_number: 3.97, max_force: 4e-13, iterations: 12345, ..Sample::default() };
+        sample.density.packing_fraction = 0.84;
+        sample.density.reduced_number_density = 0.8401;
+        let text = table(&scene, &[sample, sample]);
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines.len(), 4);
         assert_eq!(lines[0].len(), lines[2].len());
         assert!(lines[2].starts_with("0.840000  0.840100   3.970"), "{text}");
+        assert!(lines[2].contains(" 2.0e-13 "), "{text}");
     }
 }

@@ -1,0 +1,95 @@
+//! One frame of a results file, put to another use: drawn, or handed on in the exchange format.
+
+use crate::comm::Comm;
+use crate::engine::System;
+use crate::exchange::{Cell, Configuration, ContactForm};
+use crate::failure::Failure;
+use crate::geometry::{Polygon, Vec2, add};
+use crate::minimize::Report;
+use crate::model::{EdgeEdge, Model, VertexEdge};
+use crate::observe::{Rattlers, Sample};
+use crate::output::{Header, Results, Snapshot};
+use crate::run::{drawing, setup};
+use crate::scene::{ColorBy, Contact, Physics, Scene};
+use std::path::Path;
+
+/// Which frame of a file, counted from 0; the last one if there is no number.
+pub type Frame = Option<usize>;
+
+/// Draws a frame. The engine measures it anew, because contacts are not stored. Collective.
+pub fn render(comm: Comm, file: &Path, frame: Frame, color_by: ColorBy, picture: &Path) -> Result<(), Failure> {
+    let (header, snapshot) = read(&comm, file, frame)?;
+    let scene = Scene::parse(&header.scene, &file.display().to_string(), &[])?;
+    match &scene.physics {
+        Physics::Sp(sp) => draw(comm, setup::disk_model(sp), snapshot, &scene, color_by, picture),
+        Physics::Dp(dp) => match dp.potential.contact {
+            Contact::VertexEdge => {
+                draw(comm, setup::deformable_model::<VertexEdge>(dp), snapshot, &scene, color_by, picture)
+            }
+            Contact::EdgeEdge => {
+                draw(comm, setup::deformable_model::<EdgeEdge>(dp), snapshot, &scene, color_by, picture)
+            }
+        },
+    }
+}
+
+fn draw<M: Model>(
+    comm: Comm,
+    model: M,
+    snapshot: Snapshot,
+    scene: &Scene,
+    color_by: ColorBy,
+    picture: &Path,
+) -> Result<(), Failure> {
+    let Snapshot { pbox, particles, .. } = snapshot;
+    let mut system = System::new(comm, model, pbox, &pbox, particles, scene.neighbor.skin)?;
+    let (sample, columns) = Sample::measure(&mut system, &Report::default(), Rattlers::default())?;
+    drawing::draw(&mut system, &sample, &columns, color_by, picture)
+}
+
+/// A frame in the exchange format. Called by one rank, which reads all of it.
+pub fn configuration(file: &Path, frame: Frame) -> Result<Configuration, Failure> {
+    let (header, snapshot) = read(&Comm::alone(), file, frame)?;
+    let Snapshot { pbox, particles, .. } = snapshot;
+    let constant = |name: &str| {
+        let found = header.potential.iter().find(|(n, _)| n == name).map(|&(_, value)| value);
+        found.ok_or_else(|| Failure::Input(format!("{}: the potential has no {name}", file.display())))
+    };
+    let cell = Cell { lx: pbox.lx(), ly: pbox.ly(), xy: pbox.xy() };
+    let contact = match header.contact.as_str() {
+        "vertex-edge" => ContactForm::VertexEdge,
+        "edge-edge" => ContactForm::EdgeEdge,
+        _ => {
+            return Ok(Configuration::Sp {
+                cell,
+                epsilon: constant("epsilon")?,
+                diameters: particles.size,
+                positions: particles.position.iter().map(|&center| pbox.position(center)).collect(),
+            });
+        }
+    };
+    let whole = |p: usize| -> Vec<Vec2> {
+        let points = particles.points_of(p);
+        let first = pbox.position(points[0]);
+        Polygon::from_vertices(&pbox, points).offsets().map(|offset| add(first, offset)).collect()
+    };
+    Ok(Configuration::Dp {
+        cell,
+        line_tension: constant("line_tension")?,
+        k_area: constant("k_area")?,
+        epsilon: constant("epsilon")?,
+        delta: constant("delta")?,
+        contact,
+        n_vertices: (0..particles.len()).map(|p| particles.points_of(p).len() as u32).collect(),
+        vertices: (0..particles.len()).flat_map(whole).collect(),
+        a0: particles.size,
+    })
+}
+
+/// The frame that was asked for, or the last one. Collective.
+fn read(comm: &Comm, file: &Path, frame: Frame) -> Result<(Header, Snapshot), Failure> {
+    let results = Results::open(comm, file)?;
+    let k = frame.unwrap_or(results.frames.saturating_sub(1));
+    let snapshot = results.frame(comm, k)?;
+    Ok((results.header, snapshot))
+}

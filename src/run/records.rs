@@ -1,0 +1,138 @@
+//! What a run leaves behind: the results file, pictures, a plot, and the table on the standard output.
+
+use super::{drawing, setup, table};
+use crate::engine::System;
+use crate::failure::Failure;
+use crate::model::Model;
+use crate::observe::{PerParticle, Rattlers, Sample};
+use crate::output::render::{MAX_PARTICLES, write_plot};
+use crate::output::{Folder, Frame, ResultsFile};
+use crate::protocol::Onset;
+use crate::scene::Scene;
+use std::path::PathBuf;
+
+const RESULTS: &str = "results.h5";
+const PICTURES: [&str; 2] = ["packing.svg", "packing.png"];
+const PLOTS: [&str; 2] = ["plot.svg", "plot.png"];
+
+/// The samples of a run, on the disk and, as single numbers, in memory.
+pub struct Records {
+    /// None once it is finished.
+    file: Option<ResultsFile>,
+    onset: Option<Onset>,
+    samples: Vec<Sample>,
+    /// Density of each sample as the protocol set it.
+    densities: Vec<f64>,
+}
+
+impl Records {
+    /// Collective, like everything here.
+    pub fn create<M: Model>(system: &System<M>, scene: &Scene, folder: &Folder) -> Result<Self, Failure> {
+        let header = setup::header(scene);
+        let file = ResultsFile::create(&system.comm, &folder.file(RESULTS), &header, &system.own_particles())?;
+        Ok(Records { file: Some(file), onset: None, samples: Vec::new(), densities: Vec::new() })
+    }
+
+    pub fn set_onset(&mut self, onset: Onset) {
+        self.onset = Some(onset);
+    }
+
+    pub fn n_samples(&self) -> usize {
+        self.samples.len()
+    }
+
+    pub fn append<M: Model>(
+        &mut self,
+        system: &System<M>,
+        density: f64,
+        sample: Sample,
+        columns: &PerParticle,
+    ) -> Result<(), Failure> {
+        let Some(file) = &mut self.file else { return Ok(()) };
+        let frame = Frame {
+            step: self.samples.len() as u64,
+            pbox: system.pbox(),
+            particles: &system.own_particles(),
+            scalars: &scalars(density, &sample),
+            tensors: &sample.tensors(),
+            columns: &[
+                ("contacts", columns.contacts.iter().map(|&n| n as f64).collect()),
+                ("is_rattler", columns.is_rattler.iter().map(|&is| is as u8 as f64).collect()),
+                ("area", columns.area.clone()),
+                ("perimeter", columns.perimeter.clone()),
+                ("shape_parameter", columns.shape_parameter.clone()),
+                ("pressure", columns.pressure.clone()),
+            ],
+        };
+        file.append(&system.comm, &frame)?;
+        self.samples.push(sample);
+        self.densities.push(density);
+        Ok(())
+    }
+
+    /// Gives the results file its name, marked with the failure if there was one; then draws and prints.
+    pub fn finish<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        scene: &Scene,
+        folder: &Folder,
+        failure: Option<&Failure>,
+    ) -> Result<(), Failure> {
+        let mut written = vec![RESULTS];
+        let mut moved = None;
+        if let Some(file) = self.file.take() {
+            moved = file.finish(&system.comm, failure.map(|f| f.to_string()).as_deref())?;
+        }
+        // after a failure the system is not in the state of a sample
+        if scene.output.picture && failure.is_none() && system.n_particles() <= MAX_PARTICLES as u64 {
+            let (sample, columns) = Sample::measure(system, &Default::default(), Rattlers::default())?;
+            for name in PICTURES {
+                drawing::draw(system, &sample, &columns, scene.output.color_by, &folder.file(name))?;
+            }
+            written.extend(PICTURES);
+        }
+        if !self.samples.is_empty() {
+            system.comm.from_root(|| self.plot(folder).map(|()| Vec::new()))?;
+            written.extend(PLOTS);
+        }
+        if system.comm.is_root() {
+            self.print(scene);
+            print_files(folder, &written, moved);
+        }
+        Ok(())
+    }
+
+    fn plot(&self, folder: &Folder) -> Result<(), Failure> {
+        let rows: Vec<_> = self.samples.iter().zip(&self.densities).map(|(s, &d)| scalars(d, s)).collect();
+        let series: Vec<(String, Vec<f64>)> =
+            (0..rows[0].len()).map(|k| (rows[0][k].0.to_string(), rows.iter().map(|row| row[k].1).collect())).collect();
+        PLOTS.iter().try_for_each(|name| Ok(write_plot(&folder.file(name), &series)?))
+    }
+
+    fn print(&self, scene: &Scene) {
+        if let Some(onset) = &self.onset {
+            println!("{}", table::onset_line(scene.model(), onset));
+        }
+        if !self.samples.is_empty() {
+            print!("{}", table::table(scene, &self.samples));
+        }
+    }
+}
+
+/// Everything that files call a scalar of a sample.
+fn scalars(density: f64, sample: &Sample) -> Vec<(&'static str, f64)> {
+    [vec![("density", density)], sample.scalars()].concat()
+}
+
+/// What was written, with sizes.
+fn print_files(folder: &Folder, names: &[&str], moved: Option<PathBuf>) {
+    println!();
+    for name in names {
+        let path = folder.file(name);
+        let bytes = std::fs::metadata(&path).map_or(0, |m| m.len());
+        println!("{:>9.1} kB  {}", bytes as f64 / 1e3, path.display());
+    }
+    if let Some(moved) = moved {
+        println!("older results are now {}", moved.display());
+    }
+}
