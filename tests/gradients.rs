@@ -47,15 +47,15 @@ fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, st
     let stored = here.own_particles();
     let forces = here.forces().to_vec();
     for (point, force) in forces.iter().enumerate() {
-        for axis in 0..2 {
+        for (axis, &component) in force.iter().enumerate() {
             let slope = derivative(step, |h| {
                 let mut moved = stored.clone();
                 let by = if axis == 0 { [h, 0.0] } else { [0.0, h] };
                 moved.position[point] = pbox.moved(moved.position[point], by);
                 energies(model, pbox, &moved).total
             });
-            let error = (force[axis] + slope).abs();
-            assert!(error <= 1e-8 * largest, "point {point}, axis {axis}: {} against {}", force[axis], -slope);
+            let error = (component + slope).abs();
+            assert!(error <= 1e-8 * largest, "point {point}, axis {axis}: {component} against {}", -slope);
         }
     }
     let virial = here.energies().unwrap().virial;

@@ -19,7 +19,7 @@ pub struct Grid {
 impl Grid {
     /// A grid for terms of magnitude up to `bound` (any non-negative finite number).
     pub fn for_terms_up_to(bound: f64) -> Self {
-        let exponent = if bound > 0.0 { (LIMB - 1 - ilog2(bound)).clamp(-900, 900) } else { 0 };
+        let exponent = if bound > 0.0 { (LIMB - 1 - ilog2(bound)).clamp(-990, 900) } else { 0 };
         Grid { up: power_of_two(exponent), exponent }
     }
 
