@@ -82,8 +82,8 @@ fn deformable(comm: Comm, n: u32) {
 }
 
 fn run<M: Model>(system: &mut System<M>, steps: u64) {
-    let goal = Goal { force_tolerance: 0.0, max_iterations: steps, stop_when_free: false };
-    let _ = Fire::default().minimize(system, &goal).expect("finite forces");
+    let goal = Goal { force_tolerance: 0.0, max_iterations: steps };
+    let _ = Fire.minimize(system, &goal).expect("finite forces");
 }
 
 fn measure<M: Model>(model: &str, system: &mut System<M>) {

@@ -50,10 +50,8 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
         }
         Some(Command::Minimize { file, frame, output, force_tolerance, max_iterations }) => {
             let text = read_configuration(&comm, file, *frame)?;
-            let goal =
-                Goal { force_tolerance: *force_tolerance, max_iterations: *max_iterations, stop_when_free: false };
-            let (relaxed, outcome) =
-                exchange::minimize(comm, &text, &file.display().to_string(), &Fire::default(), &goal)?;
+            let goal = Goal { force_tolerance: *force_tolerance, max_iterations: *max_iterations };
+            let (relaxed, outcome) = exchange::minimize(comm, &text, &file.display().to_string(), &Fire, &goal)?;
             write(&session.world(), output, &relaxed)?;
             report(outcome, &goal, output)
         }

@@ -75,6 +75,8 @@ pub struct System<M: Model> {
     pbox: PeriodicBox,
     particles: Particles,
     forces: Vec<Vec2>,
+    /// The forces with rigid motions made lighter; empty where particles are single points.
+    lightened: Vec<Vec2>,
     chunks: Vec<Chunk>,
     skin: f64,
     list: M::List,
@@ -127,6 +129,7 @@ impl<M: Model> System<M> {
             grid,
             pbox,
             forces: Vec::new(),
+            lightened: Vec::new(),
             chunks: Vec::new(),
             skin,
             halo: Halo::default(),
@@ -226,12 +229,18 @@ impl<M: Model> System<M> {
         own
     }
 
-    /// Moves points: `step` gets a chunk, the box, and that chunk's positions, first carried vectors and forces. No
+    /// Forces on this rank's own points with rigid motions made lighter, as of the last evaluation.
+    pub fn lightened_forces(&self) -> &[Vec2] {
+        if M::BODIES { &self.lightened } else { &self.forces }
+    }
+
+    /// Moves points: `step` gets the box, and a chunk's positions, first carried vectors and lightened forces. No
     /// point may move farther than `bound`, which must be the same on all ranks.
     pub fn move_points(&mut self, bound: f64, step: impl Fn(&PeriodicBox, &mut [Frac], &mut [Vec2], &[Vec2]) + Sync) {
         let owned = self.particles.owned_points();
         let Particles { position, carried, .. } = &mut self.particles;
-        let (forces, pbox) = (&self.forces, &self.pbox);
+        let forces = if M::BODIES { &self.lightened } else { &self.forces };
+        let pbox = &self.pbox;
         threads::fold(
             &self.chunks,
             &mut position[..owned],
@@ -243,32 +252,36 @@ impl<M: Model> System<M> {
         self.halo_is_old = true;
     }
 
-    /// Evaluates the forces on all own points, then calls `reduce` on each chunk while it is in the cache and merges
-    /// the answers; `None` on a rank without particles.
+    /// Evaluates the forces on all own points, then calls `reduce` on each chunk while it is in the cache, with its
+    /// forces and lightened forces, and merges the answers; `None` on a rank without particles.
     pub fn evaluate<R: Send>(
         &mut self,
-        reduce: impl Fn(&Chunk, &Particles, &[Vec2]) -> R + Sync,
+        reduce: impl Fn(&Chunk, &Particles, &[Vec2], &[Vec2]) -> R + Sync,
         merge: impl Fn(R, R) -> R + Sync,
     ) -> Result<Option<R>, EngineError> {
         self.prepare()?;
         self.counters.forces += 1;
         let view = View { pbox: &self.pbox, particles: &self.particles, lists: &self.list };
         let model = &self.model;
-        Ok(threads::fold(
-            &self.chunks,
-            &mut self.forces,
-            &mut vec![(); self.built_position.len()], // zero-sized: no memory behind it
-            &|chunk, forces, _| {
+        if M::BODIES {
+            let work = |chunk: &Chunk, forces: &mut [Vec2], lightened: &mut [Vec2]| {
                 model.forces(&view, chunk.particles.clone(), forces);
-                reduce(chunk, view.particles, forces)
-            },
-            &merge,
-        ))
+                model.lighten(&view, chunk.particles.clone(), forces, lightened);
+                reduce(chunk, view.particles, forces, lightened)
+            };
+            return Ok(threads::fold(&self.chunks, &mut self.forces, &mut self.lightened, &work, &merge));
+        }
+        let work = |chunk: &Chunk, forces: &mut [Vec2], _: &mut [()]| {
+            model.forces(&view, chunk.particles.clone(), forces);
+            reduce(chunk, view.particles, forces, forces)
+        };
+        let nothing = &mut vec![(); self.forces.len()]; // zero-sized: no memory behind it
+        Ok(threads::fold(&self.chunks, &mut self.forces, nothing, &work, &merge))
     }
 
     /// The largest force on any point of any rank (NaN if one is), evaluated afresh.
     pub fn max_force(&mut self) -> Result<f64, EngineError> {
-        let largest = |_: &Chunk, _: &Particles, forces: &[Vec2]| {
+        let largest = |_: &Chunk, _: &Particles, forces: &[Vec2], _: &[Vec2]| {
             forces.iter().map(|&f| norm(f)).fold(0.0, |m, f| if f > m || f.is_nan() { f } else { m })
         };
         let here = self.evaluate(largest, |a, b| if a.is_nan() || a > b { a } else { b })?;
@@ -344,6 +357,9 @@ impl<M: Model> System<M> {
 
         self.forces.clear();
         self.forces.resize(owned_points, [0.0; 2]);
+        if M::BODIES {
+            self.lightened.resize(owned_points, [0.0; 2]);
+        }
         self.built_box = self.pbox;
         self.built_position.clear();
         self.built_position.extend_from_slice(&self.particles.position[..owned_points]);

@@ -163,9 +163,9 @@ fn two_squares() -> Value {
 
 #[test]
 fn relaxation_ends_in_force_balance() {
-    let goal = Goal { force_tolerance: 1e-11, max_iterations: 100_000, stop_when_free: false };
+    let goal = Goal { force_tolerance: 1e-11, max_iterations: 100_000 };
     for start in [three_disks(), two_squares()] {
-        let (text, minimized) = minimize(Comm::alone(), &start.to_string(), "start", &Fire::default(), &goal).unwrap();
+        let (text, minimized) = minimize(Comm::alone(), &start.to_string(), "start", &Fire, &goal).unwrap();
         assert!(minimized.is_converged());
         let relaxed = parse(&text);
         let report = &relaxed["minimize"];
@@ -186,9 +186,9 @@ fn relaxation_ends_in_force_balance() {
 
 #[test]
 fn a_relaxation_that_runs_out_of_steps_says_so() {
-    let goal = Goal { force_tolerance: 1e-11, max_iterations: 3, stop_when_free: false };
+    let goal = Goal { force_tolerance: 1e-11, max_iterations: 3 };
     let start = two_squares().to_string();
-    let (text, minimized) = minimize(Comm::alone(), &start, "start", &Fire::default(), &goal).unwrap();
+    let (text, minimized) = minimize(Comm::alone(), &start, "start", &Fire, &goal).unwrap();
     assert!(!minimized.is_converged());
     assert_eq!(parse(&text)["minimize"]["converged"], json!(false));
 }

@@ -8,21 +8,26 @@ pub struct Totals {
     pub sums: [ExactSum; Totals::SUMS],
     /// Largest magnitude of the terms of each sum; NaN wins.
     pub maxima: [f64; Totals::SUMS],
+    /// Maxima of other non-negative quantities; NaN wins.
+    pub extremes: [f64; Totals::EXTREMES],
 }
 
 impl Totals {
     /// How many sums share a reduction.
-    pub const SUMS: usize = 3;
-    const WORDS: usize = 3 * Self::SUMS;
+    pub const SUMS: usize = 2;
+    /// How many further maxima.
+    pub const EXTREMES: usize = 3;
+    const WORDS: usize = 3 * Self::SUMS + Self::EXTREMES;
 
-    /// Adds one term to each sum.
+    /// Adds one term to each sum, and takes further quantities into the extremes.
     #[inline(always)]
-    pub fn add(&mut self, grids: &[Grid; Self::SUMS], terms: [f64; Self::SUMS]) {
+    pub fn add(&mut self, grids: &[Grid; Self::SUMS], terms: [f64; Self::SUMS], quantities: [f64; Self::EXTREMES]) {
         for k in 0..Self::SUMS {
             self.sums[k].add(grids[k], terms[k]);
-            // as integers: the bits of non-negative numbers are ordered, and NaN lies above infinity
-            let size = terms[k].abs().to_bits();
-            self.maxima[k] = f64::from_bits(self.maxima[k].to_bits().max(size));
+            self.maxima[k] = larger(self.maxima[k], terms[k].abs());
+        }
+        for (most, x) in self.extremes.iter_mut().zip(quantities) {
+            *most = larger(*most, x);
         }
     }
 
@@ -36,8 +41,9 @@ impl Totals {
         for (sum, &term) in self.sums.iter_mut().zip(&other.sums) {
             sum.merge(term);
         }
-        for (most, &x) in self.maxima.iter_mut().zip(&other.maxima) {
-            *most = f64::from_bits(most.to_bits().max(x.to_bits()));
+        let mine = self.maxima.iter_mut().chain(&mut self.extremes);
+        for (most, &x) in mine.zip(other.maxima.iter().chain(&other.extremes)) {
+            *most = larger(*most, x);
         }
     }
 
@@ -46,7 +52,7 @@ impl Totals {
         for (pair, sum) in words.chunks_exact_mut(2).zip(&self.sums) {
             pair.copy_from_slice(&sum.limbs);
         }
-        for (word, most) in words[2 * Self::SUMS..].iter_mut().zip(&self.maxima) {
+        for (word, most) in words[2 * Self::SUMS..].iter_mut().zip(self.maxima.iter().chain(&self.extremes)) {
             *word = most.to_bits() as i64;
         }
         Block { words }
@@ -56,6 +62,7 @@ impl Totals {
         Totals {
             sums: std::array::from_fn(|k| ExactSum { limbs: [words[2 * k], words[2 * k + 1]] }),
             maxima: std::array::from_fn(|k| f64::from_bits(words[2 * Self::SUMS + k] as u64)),
+            extremes: std::array::from_fn(|k| f64::from_bits(words[3 * Self::SUMS + k] as u64)),
         }
     }
 }
@@ -70,8 +77,14 @@ pub struct FusedSums {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sums {
     pub sum: [f64; Totals::SUMS],
-    /// Largest magnitude of a term.
-    pub max: [f64; Totals::SUMS],
+    /// Maxima of the other quantities.
+    pub extremes: [f64; Totals::EXTREMES],
+}
+
+/// The larger of two non-negative numbers; compared as integers, whose order is theirs, and NaN lies above infinity.
+#[inline(always)]
+fn larger(a: f64, b: f64) -> f64 {
+    f64::from_bits(a.to_bits().max(b.to_bits()))
 }
 
 impl Default for FusedSums {
@@ -95,7 +108,7 @@ impl FusedSums {
                 *grid = Grid::for_terms_up_to(16.0 * most);
             }
         }
-        suited.then_some(Sums { sum, max: totals.maxima })
+        suited.then_some(Sums { sum, extremes: totals.extremes })
     }
 }
 
@@ -143,6 +156,7 @@ mod tests {
         Totals {
             sums: std::array::from_fn(|i| ExactSum { limbs: [k * 7 + i as i64, -k] }),
             maxima: std::array::from_fn(|i| (k * (i as i64 + 1)) as f64 * 0.1),
+            extremes: std::array::from_fn(|i| (k * (i as i64 + 2)) as f64 * 0.3),
         }
     }
 
@@ -166,30 +180,31 @@ mod tests {
     fn grids_follow_the_terms() {
         let mut fused = FusedSums::default();
         for size in [1e-12, 1e-12, 1e9, 2e9] {
-            let terms = [size, -0.5 * size, size * size];
+            let terms = [size, -0.5 * size * size];
             let mut tries = 0;
             let sums = loop {
                 tries += 1;
                 let mut totals = Totals::default();
-                totals.add(&fused.grids, terms);
-                totals.add(&fused.grids, terms);
+                totals.add(&fused.grids, terms, [size, 0.0, 1.0]);
+                totals.add(&fused.grids, terms, [0.5 * size, 0.0, 2.0]);
                 if let Some(sums) = fused.settle(&totals) {
                     break sums;
                 }
             };
             assert!(tries <= 2, "{size}: {tries}");
-            for k in 0..3 {
-                assert!((sums.sum[k] - 2.0 * terms[k]).abs() <= 1e-13 * terms[k].abs());
-                assert_eq!(sums.max[k], terms[k].abs());
+            for (sum, term) in sums.sum.iter().zip(terms) {
+                assert!((sum - 2.0 * term).abs() <= 1e-13 * term.abs());
             }
+            assert_eq!(sums.extremes, [size, 0.0, 2.0]);
         }
     }
 
     #[test]
     fn nan_wins_a_maximum() {
         let mut t = sample(1);
-        t.merge(&Totals { maxima: [f64::NAN; Totals::SUMS], ..Totals::default() });
+        t.merge(&Totals { extremes: [f64::NAN; Totals::EXTREMES], ..Totals::default() });
         t.merge(&sample(2));
-        assert!(t.maxima.iter().all(|m| m.is_nan()));
+        assert!(t.extremes.iter().all(|m| m.is_nan()));
+        assert!(t.maxima.iter().all(|m| m.is_finite()));
     }
 }

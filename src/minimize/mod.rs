@@ -14,9 +14,6 @@ pub struct Goal {
     pub force_tolerance: f64,
     /// Give up after this many iterations.
     pub max_iterations: u64,
-    /// Also stop at a state in which no two particles touch, balanced or not: below the jamming onset that is all one
-    /// wants to know, and the shapes of free particles would take long to relax.
-    pub stop_when_free: bool,
 }
 
 /// What a minimisation did.
@@ -33,8 +30,6 @@ pub struct Report {
 #[must_use = "a state that is not converged is not a result"]
 pub enum Minimized {
     Converged(Report),
-    /// No two particles touch; only with [`Goal::stop_when_free`].
-    Free(Report),
     /// The iteration limit came first; forces are unbalanced.
     Unconverged(Report),
 }
@@ -42,7 +37,7 @@ pub enum Minimized {
 impl Minimized {
     pub fn report(&self) -> &Report {
         match self {
-            Minimized::Converged(report) | Minimized::Free(report) | Minimized::Unconverged(report) => report,
+            Minimized::Converged(report) | Minimized::Unconverged(report) => report,
         }
     }
 

@@ -1,4 +1,4 @@
-use super::{Harmonic, Model, Outline, Terms, View, add_outer};
+use super::{Harmonic, Model, Outline, Terms, View, add_outer, rigid};
 use crate::geometry::{Polygon, Vec2, cross, dot, norm, scale, sub};
 use crate::neighbor::{Candidates, PointList};
 use crate::particles::Bodies;
@@ -94,6 +94,8 @@ impl<C: Contact> Deformable<C> {
 impl<C: Contact> Model for Deformable<C> {
     type List = C::List;
 
+    const BODIES: bool = true;
+
     fn bodies(&self) -> Bodies {
         Bodies::Polygons { first: vec![0] }
     }
@@ -118,6 +120,16 @@ impl<C: Contact> Model for Deformable<C> {
                     mine[point][1] += weight * touch.force[1];
                 }
             });
+        }
+    }
+
+    fn lighten(&self, view: &View<C::List>, particles: Range<usize>, forces: &[Vec2], lightened: &mut [Vec2]) {
+        let origin = view.particles.bodies.points(particles.start).start;
+        for p in particles {
+            let range = view.particles.bodies.points(p);
+            let mine = range.start - origin..range.end - origin;
+            let points = &view.particles.position[range];
+            rigid::lighten(view.pbox, points, &forces[mine.clone()], &mut lightened[mine]);
         }
     }
 

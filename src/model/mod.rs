@@ -2,6 +2,7 @@
 
 mod deformable;
 mod edge_edge;
+mod rigid;
 mod soft_disks;
 mod vertex_edge;
 
@@ -79,6 +80,10 @@ pub enum Outline {
 pub trait Model: Send + Sync {
     type List: PointList + Default;
 
+    /// Whether particles are bodies of several points, whose rigid motions a minimiser may make lighter than the
+    /// motions of single points ([`Model::lighten`]).
+    const BODIES: bool;
+
     /// The kind of particles it acts on.
     fn bodies(&self) -> Bodies;
 
@@ -91,6 +96,10 @@ pub trait Model: Send + Sync {
 
     /// Forces on the points of a run of own particles (written, not added), each summed in the order of global ids.
     fn forces(&self, view: &View<Self::List>, particles: Range<usize>, forces: &mut [Vec2]);
+
+    /// Writes what the forces on a run of own particles accelerate when rigid translations and rotations of a particle
+    /// are lighter than motions of its single points: a symmetric positive map of the forces, the identity for disks.
+    fn lighten(&self, view: &View<Self::List>, particles: Range<usize>, forces: &[Vec2], lightened: &mut [Vec2]);
 
     /// Energy and stress of one own particle.
     fn terms(&self, view: &View<Self::List>, particle: usize) -> Terms;

@@ -48,6 +48,8 @@ fn diameter(view: &View<DiskList>, j: u32) -> f64 {
 impl Model for SoftDisks {
     type List = DiskList;
 
+    const BODIES: bool = false;
+
     fn bodies(&self) -> Bodies {
         Bodies::Disks
     }
@@ -71,6 +73,10 @@ impl Model for SoftDisks {
             }
             *force = sum;
         }
+    }
+
+    fn lighten(&self, _view: &View<DiskList>, _particles: Range<usize>, forces: &[Vec2], lightened: &mut [Vec2]) {
+        lightened.copy_from_slice(forces);
     }
 
     fn terms(&self, view: &View<DiskList>, i: usize) -> Terms {

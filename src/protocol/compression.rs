@@ -37,7 +37,7 @@ pub fn compress_to<M: Model>(
     let pbox = system.pbox().with_area(area);
     system.deform_rigidly(pbox);
     match minimizer.minimize(system, goal)? {
-        Minimized::Converged(report) | Minimized::Free(report) => Ok(report),
+        Minimized::Converged(report) => Ok(report),
         Minimized::Unconverged(report) => Err(ProtocolError::Unconverged { density, report }),
     }
 }

@@ -94,8 +94,8 @@ pub fn deformable_particles(
     let model = SoftDisks { epsilon: 1.0, smallest };
     let mut system = System::new(comm, model, pbox, &pbox, disks, 0.3 * smallest)?;
     // forces of 1e-6 ε/σ are overlaps of 1e-6 σ, far within the shells
-    let goal = Goal { force_tolerance: 1e-6 / smallest, max_iterations: 100_000, stop_when_free: false };
-    if let Minimized::Unconverged(report) = Fire::default().minimize(&mut system, &goal)? {
+    let goal = Goal { force_tolerance: 1e-6 / smallest, max_iterations: 100_000 };
+    if let Minimized::Unconverged(report) = Fire.minimize(&mut system, &goal)? {
         return Err(ProtocolError::Unconverged { density: system.density()?, report });
     }
     let centers = system.own_particles();

@@ -40,7 +40,6 @@ pub fn find_onset<M: Model>(
     search: &OnsetSearch,
     mut visit: impl FnMut(f64, &Energies, &Report),
 ) -> Result<Onset, ProtocolError> {
-    let goal = Goal { stop_when_free: true, ..*goal };
     let mut density = system.density()?;
     let mut step = search.step;
     let mut unjammed = density;
@@ -49,7 +48,7 @@ pub fn find_onset<M: Model>(
     let mut jammed: Option<(f64, f64)> = None;
     let mut steps = 0;
     loop {
-        let report = compress_to(system, minimizer, &goal, density)?;
+        let report = compress_to(system, minimizer, goal, density)?;
         density = system.density()?;
         steps += 1;
         let energies = system.energies()?;

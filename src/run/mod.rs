@@ -32,7 +32,7 @@ pub fn run(comm: Comm, scene: &Scene, speaks: bool) -> Result<(), Failure> {
 
 fn minimized_by<M: Model>(system: System<M>, scene: &Scene, speaks: bool) -> Result<(), Failure> {
     match scene.minimize.method {
-        Method::Fire => keep(system, &Fire::default(), scene, speaks),
+        Method::Fire => keep(system, &Fire, scene, speaks),
     }
 }
 

@@ -86,7 +86,6 @@ pub fn goal(scene: &Scene) -> Goal {
     Goal {
         force_tolerance: scene.minimize.force_tolerance * scene.force_unit(),
         max_iterations: scene.minimize.max_iterations as u64,
-        stop_when_free: false,
     }
 }
 

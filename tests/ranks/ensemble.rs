@@ -36,7 +36,7 @@ fn onset(seed: u64) -> (f64, usize, usize) {
     let mut system = System::new(comm, DISKS, pbox, &pbox.with_area(area), disks, 0.3).unwrap();
     let goal = Goal { force_tolerance: 1e-13, max_iterations: 1_000_000 };
     let search = OnsetSearch { step: 0.02, smallest_step: 1e-12, pressure: [1e-10, 1e-8] };
-    let found = find_onset(&mut system, &Fire::default(), &goal, &search, |_, _, _| ()).unwrap();
+    let found = find_onset(&mut system, &Fire, &goal, &search, |_, _, _| ()).unwrap();
     let contacts = system.contacts().unwrap();
     let mut by_id = vec![Vec::new(); contacts.len()];
     for (&id, touching) in system.particles().id.iter().zip(&contacts) {

@@ -39,7 +39,7 @@ fn floor<M: Model>(system: &mut System<M>, patience: u64) -> f64 {
     let mut reached = system.max_force().unwrap();
     loop {
         let goal = Goal { force_tolerance: 0.5 * reached, max_iterations: patience };
-        let minimized = Fire::default().minimize(system, &goal).unwrap();
+        let minimized = Fire.minimize(system, &goal).unwrap();
         if !minimized.is_converged() {
             return reached;
         }
@@ -74,7 +74,7 @@ pub fn force_noise_dp(_: Comm) -> Outcome {
     let density = system.density().unwrap();
     for k in 1..=20 {
         let target = density + (0.93 - density) * k as f64 / 20.0;
-        jamhpc::protocol::compress_to(&mut system, &Fire::default(), &goal, target).unwrap();
+        jamhpc::protocol::compress_to(&mut system, &Fire, &goal, target).unwrap();
     }
     let p = polygon_parameters();
     assert!(matches!(system.particles().bodies, Bodies::Polygons { .. }));

@@ -174,7 +174,7 @@ pub fn area_ratio_80(comm: Comm) -> Outcome {
     let mut system = System::new(comm, model::<VertexEdge>(), pbox, &smaller, polygons, 0.1).unwrap();
     system.deform_rigidly(smaller);
     let goal = Goal { force_tolerance: 0.0, max_iterations: 300 };
-    let _ = Fire::default().minimize(&mut system, &goal).unwrap();
+    let _ = Fire.minimize(&mut system, &goal).unwrap();
     assert!(system.energies().unwrap().contact > 0.0);
     assert_forces_as_rebuilt(&mut system, 0.1, "area ratio 80");
     describe(&mut system)
@@ -191,7 +191,7 @@ pub fn empty_subdomains(comm: Comm) -> Outcome {
     let empty = system.comm.sum_count(system.particles().is_empty() as u64);
     assert!(system.comm.size() < 3 || empty > 0);
     let goal = Goal { force_tolerance: 0.0, max_iterations: 300 };
-    let minimized = Fire::default().minimize(&mut system, &goal).unwrap();
+    let minimized = Fire.minimize(&mut system, &goal).unwrap();
     let mut outcome = describe(&mut system);
     outcome.push(format!("{:?}", minimized.report()));
     outcome

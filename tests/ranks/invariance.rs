@@ -38,7 +38,7 @@ fn fire<M: Model>(mut system: System<M>) -> Outcome {
     system.prepare().unwrap();
     let before = system.counters;
     let goal = Goal { force_tolerance: 0.0, max_iterations: 2000 };
-    let minimized = Fire::default().minimize(&mut system, &goal).unwrap();
+    let minimized = Fire.minimize(&mut system, &goal).unwrap();
     assert_eq!(minimized.report().iterations, 2000);
     let rebuilds = system.counters.rebuilds - before.rebuilds;
     let migrated = system.comm.sum_count(system.counters.migrated - before.migrated);
@@ -64,7 +64,7 @@ pub fn fire_dp(comm: Comm) -> Outcome {
 /// An onset search and a compression step, with every state on the way.
 fn onset<M: Model>(mut system: System<M>, goal: &Goal, search: &OnsetSearch) -> Outcome {
     let mut outcome = Vec::new();
-    let fire = Fire::default();
+    let fire = Fire;
     let onset = find_onset(&mut system, &fire, goal, search, |density, energies, report| {
         outcome.push(format!("{density:e} {} {report:?}", hex(&[energies.total, energies.pressure()])));
     })

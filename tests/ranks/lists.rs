@@ -201,10 +201,10 @@ pub fn rebuilds_when_needed(comm: Comm) -> Outcome {
     // a balanced state that is minimised again stays where it is
     system.deform(whole_box);
     let goal = Goal { force_tolerance: 1e-8, max_iterations: 100_000 };
-    assert!(Fire::default().minimize(&mut system, &goal).unwrap().is_converged());
+    assert!(Fire.minimize(&mut system, &goal).unwrap().is_converged());
     let before = system.counters.rebuilds;
     let goal = Goal { force_tolerance: 0.0, max_iterations: 5000 };
-    let _ = Fire::default().minimize(&mut system, &goal).unwrap();
+    let _ = Fire.minimize(&mut system, &goal).unwrap();
     assert!(
         system.counters.rebuilds <= before + 1,
         "{} rebuilds of a packing at rest",
