@@ -5,7 +5,7 @@ use crate::systems::*;
 use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::geometry::{Frac, PeriodicBox};
-use jamhpc::minimize::{Fire, Goal, Minimizer};
+use jamhpc::minimize::{Fire, Minimizer};
 use jamhpc::model::{Model, VertexEdge};
 use jamhpc::particles::{Bodies, Particles};
 
@@ -38,7 +38,7 @@ fn replicated<M: Model + Clone>(system: &System<M>, skin: f64) -> System<M> {
 fn floor<M: Model>(system: &mut System<M>, patience: u64) -> f64 {
     let mut reached = system.max_force().unwrap();
     loop {
-        let goal = Goal { force_tolerance: 0.5 * reached, max_iterations: patience };
+        let goal = goal(0.5 * reached, patience);
         let minimized = Fire.minimize(system, &goal).unwrap();
         if !minimized.is_converged() {
             return reached;
@@ -52,7 +52,7 @@ fn force_noise<M: Model + Clone>(mut system: System<M>, skin: f64, patience: u64
     let mut system = replicated(&system, skin);
     let unrelaxed = system.max_force().unwrap();
     let large = floor(&mut system, patience);
-    println!(
+    eprintln!(
         "edges {:.1} and {:.1}: max|F| falls to {small:e} and, from {unrelaxed:e}, to {large:e}",
         system.pbox().ly(),
         system.pbox().lx()
@@ -70,7 +70,7 @@ pub fn force_noise_sp(_: Comm) -> Outcome {
 
 pub fn force_noise_dp(_: Comm) -> Outcome {
     let mut system = random_dp::<VertexEdge>(Comm::alone(), 8, unit_box(0.0), 0.7, 0.95);
-    let goal = Goal { force_tolerance: 1e-3, max_iterations: 100_000 };
+    let goal = goal(1e-3, 100_000);
     let density = system.density().unwrap();
     for k in 1..=20 {
         let target = density + (0.93 - density) * k as f64 / 20.0;

@@ -6,7 +6,7 @@ use crate::systems::*;
 use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::geometry::{PeriodicBox, Vec2, norm};
-use jamhpc::minimize::{Fire, Goal, Minimizer};
+use jamhpc::minimize::{Fire, Minimizer};
 use jamhpc::model::{Contact, Deformable, DeformableParameters, EdgeEdge, Harmonic, VertexEdge};
 use jamhpc::protocol::{Species, deformable_particles};
 
@@ -173,7 +173,7 @@ pub fn area_ratio_80(comm: Comm) -> Outcome {
     let smaller = pbox.with_area(area / 0.8);
     let mut system = System::new(comm, model::<VertexEdge>(), pbox, &smaller, polygons, 0.1).unwrap();
     system.deform_rigidly(smaller);
-    let goal = Goal { force_tolerance: 0.0, max_iterations: 300 };
+    let goal = goal(0.0, 300);
     let _ = Fire.minimize(&mut system, &goal).unwrap();
     assert!(system.energies().unwrap().contact > 0.0);
     assert_forces_as_rebuilt(&mut system, 0.1, "area ratio 80");
@@ -190,7 +190,7 @@ pub fn empty_subdomains(comm: Comm) -> Outcome {
     system.prepare().unwrap();
     let empty = system.comm.sum_count(system.particles().is_empty() as u64);
     assert!(system.comm.size() < 3 || empty > 0);
-    let goal = Goal { force_tolerance: 0.0, max_iterations: 300 };
+    let goal = goal(0.0, 300);
     let minimized = Fire.minimize(&mut system, &goal).unwrap();
     let mut outcome = describe(&mut system);
     outcome.push(format!("{:?}", minimized.report()));

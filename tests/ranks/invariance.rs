@@ -4,6 +4,7 @@ use crate::harness::Outcome;
 use crate::systems::*;
 use jamhpc::comm::Comm;
 use jamhpc::engine::System;
+use jamhpc::geometry::PeriodicBox;
 use jamhpc::minimize::{Fire, Goal, Minimizer};
 use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
 use jamhpc::protocol::{OnsetSearch, compress_to, find_onset};
@@ -33,32 +34,39 @@ pub fn forces_dp_edge_edge(comm: Comm) -> Outcome {
     forces_of_polygons::<EdgeEdge>(comm)
 }
 
-/// 2,000 steps of FIRE, on the way of which particles change owners and lists are made anew.
-fn fire<M: Model>(mut system: System<M>) -> Outcome {
+/// 2,000 steps of FIRE, on the way of which particles change owners and lists are made anew, in parts before which the
+/// box may be strained.
+fn fire<M: Model>(mut system: System<M>, parts: u64, strain: f64) -> Outcome {
+    let mut outcome = Vec::new();
     system.prepare().unwrap();
     let before = system.counters;
-    let goal = Goal { force_tolerance: 0.0, max_iterations: 2000 };
-    let minimized = Fire.minimize(&mut system, &goal).unwrap();
-    assert_eq!(minimized.report().iterations, 2000);
+    for _ in 0..parts {
+        let b = *system.pbox();
+        system.deform(PeriodicBox::new(b.lx(), b.ly(), b.xy() + strain * b.ly()));
+        let goal = goal(0.0, 2000 / parts);
+        let minimized = Fire.minimize(&mut system, &goal).unwrap();
+        assert_eq!(minimized.report().iterations, 2000 / parts);
+        outcome.push(format!("{:?}", minimized.report()));
+    }
     let rebuilds = system.counters.rebuilds - before.rebuilds;
     let migrated = system.comm.sum_count(system.counters.migrated - before.migrated);
     assert!(rebuilds > 2, "lists were made anew {rebuilds} times only");
     assert!(system.comm.size() == 1 || migrated > 0, "no particle changed its owner");
-    let mut outcome = describe(&mut system);
-    outcome.push(format!("{rebuilds} rebuilds, {:?}", minimized.report()));
+    outcome.extend(describe(&mut system));
+    outcome.push(format!("{rebuilds} rebuilds"));
     outcome
 }
 
 pub fn fire_sp(comm: Comm) -> Outcome {
-    fire(random_sp(comm, 1024, unit_box(0.0), 0.9, 0.9))
+    fire(random_sp(comm, 1024, unit_box(0.0), 0.9, 0.9), 1, 0.0)
 }
 
-/// From a loose packing compressed past its onset in one go and sheared by 30 %.
+/// A loose packing compressed past its onset, then sheared until particles pass each other.
 pub fn fire_dp(comm: Comm) -> Outcome {
     let mut system = random_dp::<VertexEdge>(comm, 128, unit_box(0.0), 0.75, 0.9);
-    let b = system.pbox().with_area(0.88 * system.pbox().area());
-    system.deform_rigidly(jamhpc::geometry::PeriodicBox::new(b.lx(), b.ly(), 0.3 * b.ly()));
-    fire(system)
+    let tighter = system.pbox().with_area(0.88 * system.pbox().area());
+    system.deform_rigidly(tighter);
+    fire(system, 5, 0.1)
 }
 
 /// An onset search and a compression step, with every state on the way.
@@ -69,7 +77,7 @@ fn onset<M: Model>(mut system: System<M>, goal: &Goal, search: &OnsetSearch) -> 
         outcome.push(format!("{density:e} {} {report:?}", hex(&[energies.total, energies.pressure()])));
     })
     .unwrap();
-    assert!(onset.steps > 3 && onset.pressure > search.pressure[0] && onset.unjammed < onset.density);
+    assert!(onset.steps > 3 && onset.pressure > search.pressure[0] && onset.unjammed < onset.density, "{outcome:#?}");
     let report = compress_to(&mut system, &fire, goal, onset.density + 0.01).unwrap();
     outcome.push(format!("{onset:?} {report:?}"));
     outcome.extend(describe(&mut system));
@@ -78,12 +86,12 @@ fn onset<M: Model>(mut system: System<M>, goal: &Goal, search: &OnsetSearch) -> 
 
 pub fn onset_sp(comm: Comm) -> Outcome {
     let system = random_sp(comm, 1024, unit_box(0.0), 0.6, 0.95);
-    let goal = Goal { force_tolerance: 1e-7, max_iterations: 100_000 };
+    let goal = goal(1e-7, 100_000);
     onset(system, &goal, &OnsetSearch { step: 0.04, smallest_step: 1e-6, pressure: [1e-5, 1e-3] })
 }
 
 pub fn onset_dp(comm: Comm) -> Outcome {
     let system: System<Deformable<VertexEdge>> = random_dp(comm, 128, unit_box(0.0), 0.7, 0.95);
-    let goal = Goal { force_tolerance: 1e-2, max_iterations: 100_000 };
-    onset(system, &goal, &OnsetSearch { step: 0.02, smallest_step: 1e-6, pressure: [1e-2, 1.0] })
+    let goal = goal(1e-2, 100_000);
+    onset(system, &goal, &OnsetSearch { step: 0.02, smallest_step: 1e-6, pressure: [0.1, 0.5] })
 }

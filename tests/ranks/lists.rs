@@ -5,7 +5,7 @@ use crate::systems::*;
 use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::geometry::{Frac, PeriodicBox, Vec2, closest_on_segment, dot, scale, segments_cross, sub};
-use jamhpc::minimize::{Fire, Goal, Minimizer};
+use jamhpc::minimize::{Fire, Minimizer};
 use jamhpc::model::{EdgeEdge, Model, VertexEdge};
 use jamhpc::particles::{Bodies, Particles};
 
@@ -200,10 +200,10 @@ pub fn rebuilds_when_needed(comm: Comm) -> Outcome {
 
     // a balanced state that is minimised again stays where it is
     system.deform(whole_box);
-    let goal = Goal { force_tolerance: 1e-8, max_iterations: 100_000 };
-    assert!(Fire.minimize(&mut system, &goal).unwrap().is_converged());
+    let balanced = goal(1e-8, 100_000);
+    assert!(Fire.minimize(&mut system, &balanced).unwrap().is_converged());
     let before = system.counters.rebuilds;
-    let goal = Goal { force_tolerance: 0.0, max_iterations: 5000 };
+    let goal = goal(0.0, 5000);
     let _ = Fire.minimize(&mut system, &goal).unwrap();
     assert!(
         system.counters.rebuilds <= before + 1,

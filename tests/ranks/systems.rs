@@ -3,6 +3,7 @@
 use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::geometry::{Frac, PeriodicBox, Vec2};
+use jamhpc::minimize::Goal;
 use jamhpc::model::{Contact, Deformable, DeformableParameters, Harmonic, Model, SoftDisks};
 use jamhpc::particles::{Bodies, Particles};
 use jamhpc::protocol::{Species, deformable_particles, random_disks};
@@ -12,6 +13,11 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 pub const DISKS: SoftDisks = SoftDisks { epsilon: 1.0, smallest: 1.0 };
 /// Width of the circulo-lines.
 pub const DELTA: f64 = 0.1;
+
+/// When a minimisation ends.
+pub fn goal(force_tolerance: f64, max_iterations: u64) -> Goal {
+    Goal { force_tolerance, max_iterations }
+}
 
 /// Half small, half large, diameters 1 and 1.4.
 pub fn disk_species(n: u32) -> [Species; 2] {
