@@ -79,7 +79,7 @@ mod tests {
         assert_eq!(onset_line(Model::Dp, &onset(0.8337, 0.8335)), "onset: rho_J = 0.83370 in [0.83350, 0.83370]");
         assert_eq!(
             onset_line(Model::Sp, &onset(0.84312345, 0.84312335)),
-            "onset: phi_J = 0.84312345 in [0.84312335, 0.84312345]"
+            "onset: phi_J = 0.843123450 in [0.843123350, 0.843123450]"
         );
     }
 
