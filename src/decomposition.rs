@@ -38,7 +38,7 @@ impl ProcessGrid {
         let widths = pbox.widths();
         let narrowest = |shape: [usize; 2]| (widths[0] / shape[0] as f64).min(widths[1] / shape[1] as f64);
         let shape = (1..=ranks)
-            .filter(|n| ranks % n == 0)
+            .filter(|n| ranks.is_multiple_of(*n))
             .map(|n| [ranks / n, n])
             .max_by(|&a, &b| narrowest(a).total_cmp(&narrowest(b)))
             .unwrap_or([ranks, 1]);
