@@ -48,7 +48,7 @@ impl Case {
 }
 
 /// Protects against hangs only: ten times what the slowest case takes on two busy cores.
-const LIMIT: Duration = Duration::from_secs(600);
+const LIMIT: Duration = Duration::from_secs(300);
 /// "In seconds", on a machine that may be busy.
 const ABORT_LIMIT: Duration = Duration::from_secs(60);
 
