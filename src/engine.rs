@@ -81,8 +81,10 @@ pub struct System<M: Model> {
     skin: f64,
     list: M::List,
     halo: Halo,
-    /// Largest particle size and circumradius on any rank at the last build.
+    /// Largest particle size on any rank.
     largest_size: f64,
+    /// Width of the largest particle at the start, contact range included.
+    largest_width: f64,
     built_box: PeriodicBox,
     built_position: Vec<Frac>,
     /// No own or foreign point has travelled farther than this since the build; the same on all ranks. Infinite when
@@ -134,6 +136,7 @@ impl<M: Model> System<M> {
             skin,
             halo: Halo::default(),
             largest_size,
+            largest_width: 2.0 * largest_radius + range,
             built_box: pbox,
             built_position: Vec::new(),
             travel_bound: f64::INFINITY,
@@ -537,6 +540,13 @@ impl<M: Model> System<M> {
     /// (φ for disks, ρ with the shell for deformable particles). Collective.
     pub fn density(&mut self) -> Result<f64, EngineError> {
         Ok(self.own_area()? / self.pbox.area())
+    }
+
+    /// Largest factor by which the density may be raised at once: centres of touching particles then approach by half
+    /// a contact width, so that outlines moved as rigid wholes cannot cross.
+    pub fn densest_step(&self) -> f64 {
+        let approach = 5.0 * self.model.step_cap();
+        (1.0 - approach / self.largest_width).max(0.5).powi(-2)
     }
 
     /// Sum of the areas that all particles cover by themselves. Collective.

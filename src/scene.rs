@@ -438,7 +438,7 @@ const KEYS: &[Key] = &[
     both("onset.step", Float(1e-8, 0.1), "0.01"),
     both("onset.smallest_step", Float(1e-12, 0.01), "1e-8"),
     sp("onset.pressure", List(&Float(1e-14, 0.1), 2, 2), "[1e-9, 1e-7]"),
-    dp("onset.pressure", List(&Float(1e-14, 0.1), 2, 2), "[1e-7, 1e-5]"),
+    dp("onset.pressure", List(&Float(1e-14, 0.1), 2, 2), "[1e-6, 1e-4]"),
     both("compression.increments", List(&Float(1e-9, 1.0), 1, 10_000), ""),
     sp("compression.until", Float(0.5, 2.0), "1.0"),
     dp("compression.until", Float(0.5, 0.999), "0.95"),

@@ -55,7 +55,13 @@ mod tests {
         let shift = [[0.3, -0.7]; 5];
         assert!(close(lightened(shift), shift.map(|f| scale(1.0 + TRANSLATION, f))));
         let turn = corners.map(|c| [middle[1] - c[1], c[0] - middle[0]]);
-        assert!(lightened(turn).iter().flatten().zip(turn.iter().flatten()).all(|(x, y)| (x - (1.0 + ROTATION) * y).abs() < 1e-12));
+        assert!(
+            lightened(turn)
+                .iter()
+                .flatten()
+                .zip(turn.iter().flatten())
+                .all(|(x, y)| (x - (1.0 + ROTATION) * y).abs() < 1e-12)
+        );
         // symmetric: a·Mb = b·Ma
         let (a, b) =
             ([[1.0, 0.2], [0.3, -2.0], [0.0, 0.5], [1.5, 1.0], [-0.4, 0.1]], turn.map(|t| [t[0] * t[0], t[1]]));

@@ -26,19 +26,23 @@ impl Increments {
 }
 
 /// Sets the density of the present particles by changing the box (centres move affinely, particles as rigid wholes),
-/// then minimises. The density after that differs a little for deformable particles, whose shells grow as they deform.
+/// then minimises; a change too large for rigid outlines is made in several such steps. The density after that differs a little for deformable particles, whose shells grow as they deform.
 pub fn compress_to<M: Model>(
     system: &mut System<M>,
     minimizer: &impl Minimizer,
     goal: &Goal,
     density: f64,
 ) -> Result<Report, ProtocolError> {
-    let area = system.own_area()? / density;
-    let pbox = system.pbox().with_area(area);
-    system.deform_rigidly(pbox);
-    match minimizer.minimize(system, goal)? {
-        Minimized::Converged(report) => Ok(report),
-        Minimized::Unconverged(report) => Err(ProtocolError::Unconverged { density, report }),
+    loop {
+        let area = system.own_area()?;
+        let next = density.min(area / system.pbox().area() * system.densest_step());
+        let pbox = system.pbox().with_area(area / next);
+        system.deform_rigidly(pbox);
+        match minimizer.minimize(system, goal)? {
+            Minimized::Converged(report) if next == density => return Ok(report),
+            Minimized::Converged(_) => {}
+            Minimized::Unconverged(report) => return Err(ProtocolError::Unconverged { density: next, report }),
+        }
     }
 }
 
