@@ -1,7 +1,8 @@
-//! Cost of one FIRE step, lists and reductions included, and memory per particle: soft disks at φ = 0.86 and
-//! deformable particles at ρ = 0.90, on 1 and 2 ranks (one thread each).
+//! Cost of one FIRE step and of one list build, and memory per particle: soft disks at φ = 0.86, relaxed first, and
+//! deformable particles at ρ = 0.90; on one rank with one thread and with two, and on two ranks.
 //!
-//! `cargo bench --bench step` prints the table; `cargo bench --bench step -- SP_N DP_N` takes other sizes.
+//! `cargo bench --bench step` prints the table for 10⁴ and 10⁵ disks and 10⁴ polygons;
+//! `cargo bench --bench step -- sp 1000000` or `-- dp 1000` one model and size.
 
 use jamhpc::comm::{Comm, Session};
 use jamhpc::engine::System;
@@ -13,32 +14,44 @@ use std::process::Command;
 use std::time::Instant;
 
 const STEPS: u64 = 300;
+const REBUILDS: u32 = 10;
+
+/// Ranks, and threads on each.
+const STARTS: [[&str; 2]; 3] = [["1", "1"], ["1", "2"], ["2", "1"]];
 
 fn main() {
-    let sizes: Vec<u32> = std::env::args().filter_map(|a| a.parse().ok()).collect();
-    let (disks, polygons) = (sizes.first().copied().unwrap_or(100_000), sizes.get(1).copied().unwrap_or(10_000));
     if let Ok(case) = std::env::var("JAMHPC_BENCH") {
-        rayon::ThreadPoolBuilder::new().num_threads(1).build_global().expect("the first pool");
+        let [model, n, threads] = case.split(' ').collect::<Vec<_>>()[..] else { panic!("{case}?") };
+        let [n, threads] = [n, threads].map(|number| number.parse::<u32>().expect("a number"));
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads as usize)
+            .use_current_thread()
+            .build_global()
+            .expect("the first pool");
         let session = Session::start();
-        match case.as_str() {
-            "sp" => soft_disks(session.world(), disks),
-            _ => deformable(session.world(), polygons),
+        match model {
+            "sp" => soft_disks(session.world(), n),
+            _ => deformable(session.world(), n),
         }
         return;
     }
-    println!(
-        "model  ranks        N   points  ns per point-step  rebuilds  halo points  bytes per point (peak, per rank)"
-    );
+    let asked: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
+    let cases = match &asked[..] {
+        [] => vec!["sp 10000".to_string(), "sp 100000".to_string(), "dp 10000".to_string()],
+        words => words.chunks(2).map(|pair| pair.join(" ")).collect(),
+    };
+    println!("                                   ns per    ns per point              halo   peak bytes per");
+    println!("model  ranks x threads    points  point-step  and rebuild  rebuilds  points   point and rank");
     let launcher = std::env::var("MPIRUN").unwrap_or_else(|_| "mpirun".into());
-    for case in ["sp", "dp"] {
-        for ranks in ["1", "2"] {
+    for case in cases {
+        for [ranks, threads] in STARTS {
             let me = std::env::current_exe().expect("own path");
             let status = Command::new(&launcher)
                 .args(["-n", ranks])
                 .arg(me)
-                .args([disks.to_string(), polygons.to_string()])
-                .env("JAMHPC_BENCH", case)
+                .env("JAMHPC_BENCH", format!("{case} {threads}"))
                 .envs([("OMPI_ALLOW_RUN_AS_ROOT", "1"), ("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")])
+                .env("OMPI_MCA_hwloc_base_binding_policy", "none") // or both threads share a core
                 .status();
             assert!(status.is_ok_and(|s| s.success()), "{launcher} -n {ranks} failed");
         }
@@ -53,6 +66,7 @@ fn soft_disks(comm: Comm, n: u32) {
     let disks = random_disks(&comm, &species, 1, |s| s.size);
     let model = SoftDisks { epsilon: 1.0, smallest: 1.0 };
     let mut system = System::new(comm, model, pbox, &pbox, disks, 0.3).expect("a box that fits");
+    run(&mut system, 2000);
     measure("sp", &mut system);
 }
 
@@ -89,23 +103,39 @@ fn run<M: Model>(system: &mut System<M>, steps: u64) {
 fn measure<M: Model>(model: &str, system: &mut System<M>) {
     run(system, 500);
     let rebuilds = system.counters.rebuilds;
-    system.comm.barrier();
-    let start = Instant::now();
-    run(system, STEPS);
-    system.comm.barrier();
-    let seconds = start.elapsed().as_secs_f64();
-    let (particles, points) = (system.n_particles(), system.n_points());
+    let stepping = timed(system, |system| run(system, STEPS));
+    let rebuilds = system.counters.rebuilds - rebuilds;
+    let pbox = *system.pbox();
+    let rebuilding = timed(system, |system| {
+        for _ in 0..REBUILDS {
+            // the same particles in the same box, which the system cannot know
+            let own = system.own_particles();
+            system.restore(pbox, own);
+            system.prepare().expect("a box that fits");
+        }
+    });
+    let points = system.n_points() as f64;
     let ranks = system.comm.size();
     let peak = system.comm.max(peak_bytes());
     if system.comm.is_root() {
         println!(
-            "{model:5}  {ranks:5} {particles:8} {points:8} {:18.1} {:9} {:12} {:16.0}",
-            seconds * 1e9 / (STEPS * points) as f64 * ranks as f64,
-            system.counters.rebuilds - rebuilds,
+            "{model:5}  {ranks:5} x {:<7} {points:9} {:11.1} {:12.1} {rebuilds:9} {:7} {:16.0}",
+            rayon::current_num_threads(),
+            stepping * 1e9 / (STEPS as f64 * points),
+            rebuilding * 1e9 / (REBUILDS as f64 * points),
             system.halo_points().1,
-            peak / (points as f64 / ranks as f64),
+            peak / (points / ranks as f64),
         );
     }
+}
+
+/// Seconds that it takes on the slowest rank.
+fn timed<M: Model>(system: &mut System<M>, work: impl FnOnce(&mut System<M>)) -> f64 {
+    system.comm.barrier();
+    let start = Instant::now();
+    work(system);
+    system.comm.barrier();
+    start.elapsed().as_secs_f64()
 }
 
 /// Peak resident memory of this process.

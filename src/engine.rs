@@ -5,10 +5,11 @@ use crate::comm::{Comm, Halo};
 use crate::decomposition::{ProcessGrid, TooManyRanks};
 use crate::geometry::{Frac, PeriodicBox, Vec2, norm};
 use crate::model::{Model, Outline, Terms, View};
-use crate::neighbor::{Candidates, CellList, PointList};
+use crate::neighbor::{Candidates, PointList};
 use crate::particles::{Bodies, ForeignPoint, Particles};
 use crate::threads::{self, Chunk};
 use std::ops::Range;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Why a system cannot be set up or continued. All ranks get the same value.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -319,8 +320,8 @@ impl<M: Model> System<M> {
         if self.travel_bound <= allowed {
             return true;
         }
-        let travel = |(now, then): (&Frac, &Frac)| norm(self.pbox.displacement(*now, *then));
-        let farthest = self.particles.position.iter().zip(&self.built_position).map(travel).fold(0.0, f64::max);
+        let travel = |i: usize| norm(self.pbox.displacement(self.particles.position[i], self.built_position[i]));
+        let farthest = threads::largest(self.built_position.len(), travel);
         self.travel_bound = self.comm.max(farthest);
         // the last tenth of the skin is not worth measuring at every step
         self.travel_bound <= 0.9 * allowed
@@ -330,22 +331,22 @@ impl<M: Model> System<M> {
     fn rebuild(&mut self) -> Result<(), EngineError> {
         self.counters.rebuilds += 1;
         self.particles.forget_foreign();
-        let centers = self.migrate();
-        let centers = self.sort_in_space(centers);
+        self.list = M::List::default(); // not there twice
+        self.migrate();
+        self.sort_in_space();
         let owned = self.particles.len();
         let owned_points = self.particles.owned_points();
-        let radius = (0..owned).map(|p| self.particles.circumradius(&self.pbox, p)).fold(0.0, f64::max);
-        let radius = self.comm.max(radius);
+        let radius = self.comm.max(self.largest_circumradius());
         let widths = self.pbox.widths();
         let halo = self.model.range(self.largest_size) + self.skin + 2.0 * radius;
         // the box may have become smaller than foreseen
         self.grid.check(&self.pbox, halo)?;
         let margin = widths.map(|w| halo / w);
-        self.chunks = threads::chunks(&self.particles.bodies, owned);
+        self.chunks = self.particles.bodies.chunks(owned);
 
         let carried = std::mem::take(&mut self.particles.carried);
         let Offers { peers, offered, foreign_of_peer } =
-            collect_foreign(&self.comm, &self.grid, margin, &centers, &mut self.particles);
+            collect_foreign(&self.comm, &self.grid, margin, &self.pbox, &mut self.particles);
         self.particles.carried = carried;
 
         let candidates = Candidates {
@@ -358,59 +359,68 @@ impl<M: Model> System<M> {
         self.list = self.model.list(&candidates, self.skin);
         self.keep_named(owned, owned_points, &peers, &offered, &foreign_of_peer);
 
-        self.forces.clear();
         self.forces.resize(owned_points, [0.0; 2]);
         if M::BODIES {
             self.lightened.resize(owned_points, [0.0; 2]);
         }
         self.built_box = self.pbox;
-        self.built_position.clear();
-        self.built_position.extend_from_slice(&self.particles.position[..owned_points]);
+        self.built_position = threads::collect(owned_points, |i| self.particles.position[i]);
         self.travel_bound = 0.0;
         self.stale = false;
         Ok(())
     }
 
-    /// Every particle to the rank that owns its centre; returns the centres. Particles travel one subdomain at a time,
-    /// so that only neighbours talk, however far one has moved.
-    fn migrate(&mut self) -> Vec<Frac> {
+    /// Largest distance from the centre of an own particle to one of its points.
+    fn largest_circumradius(&self) -> f64 {
+        let (particles, pbox) = (&self.particles, &self.pbox);
+        threads::largest(particles.len(), |p| particles.circumradius(pbox, p))
+    }
+
+    /// Every particle to the rank that owns its centre. Particles travel one subdomain at a time, so that only
+    /// neighbours talk, however far one has moved.
+    fn migrate(&mut self) {
         let rank = self.comm.rank();
         let peers = self.grid.neighbors(rank);
-        loop {
-            let centers: Vec<Frac> = (0..self.particles.len()).map(|p| self.particles.center(&self.pbox, p)).collect();
-            let next: Vec<usize> = centers.iter().map(|&c| self.grid.towards(rank, self.grid.owner(c))).collect();
-            if !self.comm.any(next.iter().any(|&r| r != rank)) {
-                return centers;
+        while !peers.is_empty() {
+            let particles = &self.particles;
+            let next = |p: usize| self.grid.towards(rank, self.grid.owner(particles.center(&self.pbox, p)));
+            let leaving = threads::choose(particles.len(), |p| next(p) != rank);
+            if !self.comm.any(!leaving.is_empty()) {
+                return;
             }
             let mut outgoing = vec![Vec::new(); peers.len()];
-            let mut staying = Vec::new();
-            for (p, &to) in next.iter().enumerate() {
-                match peers.binary_search(&to) {
-                    Ok(k) => {
-                        self.particles.pack(p, true, &mut outgoing[k]);
-                        self.counters.migrated += 1;
-                    }
-                    Err(_) => staying.push(p as u32),
-                }
+            for &p in &leaving {
+                let to = next(p as usize);
+                let peer = peers.partition_point(|&peer| peer < to);
+                self.particles.pack(p as usize, true, &mut outgoing[peer]);
             }
-            self.particles = self.particles.reordered(&staying);
+            self.counters.migrated += leaving.len() as u64;
+            if !leaving.is_empty() {
+                let staying = threads::choose(particles.len(), |p| leaving.binary_search(&(p as u32)).is_err());
+                self.particles.reorder(&staying);
+            }
             for message in self.comm.exchange(&peers, &outgoing) {
                 self.particles.unpack(&message, true);
             }
         }
     }
 
-    /// Stores own particles cell by cell, so that neighbours in space are neighbours in memory.
-    fn sort_in_space(&mut self, centers: Vec<Frac>) -> Vec<Frac> {
+    /// Stores own particles in bands across the box, each from one end to the other: a chunk is a patch about as wide
+    /// as high, whose neighbourhood fits the first cache.
+    fn sort_in_space(&mut self) {
+        let (n, points) = (self.particles.len(), self.particles.owned_points());
         let region = self.grid.region(self.comm.rank(), [0.0; 2]);
-        let spacing = (self.pbox.area() / (self.grid.ranks() * centers.len().max(1)) as f64).sqrt();
-        let cells = CellList::new(&self.pbox, &region, &centers, 2.0 * spacing);
-        let order = cells.in_cell_order();
-        if order.iter().enumerate().any(|(i, &p)| i != p as usize) {
-            self.particles = self.particles.reordered(order);
-            return order.iter().map(|&p| centers[p as usize]).collect();
-        }
-        centers
+        let spacing = (self.pbox.area() / (self.grid.ranks() * n.max(1)) as f64).sqrt();
+        let band = spacing * (Bodies::POINTS_PER_CHUNK as f64 * n.max(1) as f64 / points.max(1) as f64).sqrt();
+        let widths = self.pbox.widths();
+        let shape = [(0, spacing), (1, band)].map(|(axis, width)| {
+            let most = n.max(1) as f64;
+            (widths[axis] * region.span[axis] / width).clamp(1.0, most) as usize
+        });
+        let particles = &self.particles;
+        let bin = |p: usize| region.bin(particles.center(&self.pbox, p), shape);
+        let order = threads::sort_by_bin(n, shape, bin).items;
+        self.particles.reorder(&order);
     }
 
     /// Drops every foreign point that the list does not name, renumbers the list and settles the halo exchange.
@@ -419,17 +429,20 @@ impl<M: Model> System<M> {
         owned: usize,
         owned_points: usize,
         peers: &[usize],
-        offered: &[Vec<usize>],
+        offered: &[Vec<u32>],
         foreign_of_peer: &[std::ops::Range<usize>],
     ) {
         const UNNAMED: u32 = u32::MAX;
         let all = &mut self.particles;
-        let mut number = vec![UNNAMED; all.position.len() - owned_points];
-        self.list.for_each_point(|point| {
-            if let Some(foreign) = (*point as usize).checked_sub(owned_points) {
-                number[foreign] = 0;
-            }
-        });
+        let marks: Vec<AtomicU32> = (owned_points..all.position.len()).map(|_| AtomicU32::new(UNNAMED)).collect();
+        if !marks.is_empty() {
+            self.list.for_each_point(|point| {
+                if let Some(foreign) = (*point as usize).checked_sub(owned_points) {
+                    marks[foreign].store(0, Ordering::Relaxed); // whoever comes first
+                }
+            });
+        }
+        let mut number: Vec<u32> = marks.into_iter().map(AtomicU32::into_inner).collect();
         let mut kept = Vec::new();
         let mut wanted = vec![Vec::new(); peers.len()];
         for (range, wanted) in foreign_of_peer.iter().zip(&mut wanted) {
@@ -441,11 +454,13 @@ impl<M: Model> System<M> {
                 }
             }
         }
-        self.list.for_each_point(|point| {
-            if let Some(foreign) = (*point as usize).checked_sub(owned_points) {
-                *point = number[foreign];
-            }
-        });
+        if !number.is_empty() {
+            self.list.for_each_point(|point| {
+                if let Some(foreign) = (*point as usize).checked_sub(owned_points) {
+                    *point = number[foreign];
+                }
+            });
+        }
         let bodies = &all.bodies;
         let mut particle = owned;
         let foreign = kept.iter().map(|&point| {
@@ -462,12 +477,15 @@ impl<M: Model> System<M> {
         all.position.truncate(owned_points + kept.len());
         all.id.truncate(owned);
         all.size.truncate(owned);
+        if let Bodies::Disks = all.bodies {
+            all.size.extend(all.foreign.iter().map(|f| f.size));
+        }
         if let Bodies::Polygons { first } = &mut all.bodies {
             first.truncate(owned + 1);
         }
         // what a peer asks for is numbered in the order in which it was offered
-        let points = |particles: &Vec<usize>| -> Vec<u32> {
-            particles.iter().flat_map(|&p| all.bodies.points(p)).map(|point| point as u32).collect()
+        let points = |particles: &Vec<u32>| -> Vec<u32> {
+            particles.iter().flat_map(|&p| all.bodies.points(p as usize)).map(|point| point as u32).collect()
         };
         let offered: Vec<Vec<u32>> = offered.iter().map(points).collect();
         self.halo = Halo::new(&self.comm, peers.to_vec(), &wanted, &offered, owned_points);
@@ -480,13 +498,12 @@ impl<M: Model> System<M> {
         let mut particles = self.own_particles();
         particles.carried.clear();
         let owned = particles.len();
-        let centers: Vec<Frac> = (0..owned).map(|p| particles.center(&self.pbox, p)).collect();
-        let radius = (0..owned).map(|p| particles.circumradius(&self.pbox, p)).fold(0.0, f64::max);
+        let radius = self.largest_circumradius();
         // centres have left their subdomain by less than the skin since the last build
         let halo = 2.0 * self.comm.max(radius) + self.model.range(self.largest_size) + self.skin;
         self.grid.check(&self.pbox, halo)?;
         let margin = self.pbox.widths().map(|w| halo / w);
-        collect_foreign(&self.comm, &self.grid, margin, &centers, &mut particles);
+        collect_foreign(&self.comm, &self.grid, margin, &self.pbox, &mut particles);
         Ok(look(&Candidates {
             pbox: &self.pbox,
             particles: &particles,
@@ -504,7 +521,8 @@ impl<M: Model> System<M> {
             let [e, f, g, h] = t.centroid;
             [t.line, t.area, t.contact, a, b, c, d, e, f, g, h]
         };
-        let [line, area, contact, v0, v1, v2, v3, c0, c1, c2, c3] = self.comm.sum_terms(terms.iter().map(row));
+        let [line, area, contact, v0, v1, v2, v3, c0, c1, c2, c3] =
+            self.comm.sum_terms(terms.len(), |p| row(&terms[p]));
         let per_area = |s: [f64; 4]| s.map(|x| x / self.pbox.area());
         Ok(Energies {
             total: line + area + contact,
@@ -553,8 +571,7 @@ impl<M: Model> System<M> {
     pub fn own_area(&mut self) -> Result<f64, EngineError> {
         self.prepare()?;
         let view = self.view();
-        let areas: Vec<f64> = (0..self.particles.len()).map(|p| self.model.own_area(&view, p)).collect();
-        let [whole] = self.comm.sum_terms(areas.iter().map(|&a| [a]));
+        let [whole] = self.comm.sum_terms(self.particles.len(), |p| [self.model.own_area(&view, p)]);
         Ok(whole)
     }
 
@@ -612,7 +629,7 @@ struct Offers {
     /// Ranks with adjacent subdomains.
     peers: Vec<usize>,
     /// For each peer the own particles that may come near its own.
-    offered: Vec<Vec<usize>>,
+    offered: Vec<Vec<u32>>,
     /// For each peer the range of points that it has sent.
     foreign_of_peer: Vec<Range<usize>>,
 }
@@ -623,15 +640,16 @@ fn collect_foreign(
     comm: &Comm,
     grid: &ProcessGrid,
     margin: [f64; 2],
-    centers: &[Frac],
+    pbox: &PeriodicBox,
     particles: &mut Particles,
 ) -> Offers {
     let peers = grid.neighbors(comm.rank());
-    let near = |&peer: &usize| (0..centers.len()).filter(|&p| grid.is_near(peer, centers[p], margin)).collect();
-    let offered: Vec<Vec<usize>> = peers.iter().map(near).collect();
-    let packed = |chosen: &Vec<usize>| {
+    let near =
+        |&peer: &usize| threads::choose(particles.len(), |p| grid.is_near(peer, particles.center(pbox, p), margin));
+    let offered: Vec<Vec<u32>> = peers.iter().map(near).collect();
+    let packed = |chosen: &Vec<u32>| {
         let mut message = Vec::new();
-        chosen.iter().for_each(|&p| particles.pack(p, false, &mut message));
+        chosen.iter().for_each(|&p| particles.pack(p as usize, false, &mut message));
         message
     };
     let outgoing: Vec<Vec<u64>> = offered.iter().map(packed).collect();

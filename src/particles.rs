@@ -1,6 +1,7 @@
 //! The state of one rank: its own particles, and the points of others that its neighbour lists name.
 
 use crate::geometry::{Frac, PeriodicBox, Polygon, Vec2, norm, sub};
+use crate::threads::{self, Chunk};
 use std::ops::Range;
 
 /// How many points make a particle.
@@ -13,6 +14,9 @@ pub enum Bodies {
 }
 
 impl Bodies {
+    /// Enough work to be worth handing to another thread, and little enough for the first cache.
+    pub const POINTS_PER_CHUNK: usize = 512;
+
     pub fn none_like(&self) -> Bodies {
         match self {
             Bodies::Disks => Bodies::Disks,
@@ -27,6 +31,39 @@ impl Bodies {
             Bodies::Polygons { first } => first[particle] as usize..first[particle + 1] as usize,
         }
     }
+
+    /// The first `n` particles in runs of roughly equal numbers of points.
+    pub fn chunks(&self, n: usize) -> Vec<Chunk> {
+        let mut cut = Vec::new();
+        let mut begin = 0;
+        while begin < n {
+            let points = self.points(begin);
+            let most = points.start + Self::POINTS_PER_CHUNK.max(points.len());
+            let end = match self {
+                Bodies::Disks => most.min(n),
+                Bodies::Polygons { first } => begin + first[begin + 1..=n].partition_point(|&end| end as usize <= most),
+            };
+            cut.push(Chunk { particles: begin..end, points: points.start..self.points(end - 1).end });
+            begin = end;
+        }
+        cut
+    }
+
+    /// The particles listed in `order`, in that order.
+    fn reordered(&self, order: &[u32]) -> Bodies {
+        match self {
+            Bodies::Disks => Bodies::Disks,
+            Bodies::Polygons { .. } => {
+                let mut first = Vec::with_capacity(order.len() + 1);
+                first.push(0);
+                first.extend(order.iter().scan(0, |end, &p| {
+                    *end += self.points(p as usize).len() as u32;
+                    Some(*end)
+                }));
+                Bodies::Polygons { first }
+            }
+        }
+    }
 }
 
 /// Particles as structure of arrays. Global ids are unique over all ranks; the order of storage means nothing.
@@ -34,7 +71,7 @@ impl Bodies {
 pub struct Particles {
     /// Global id of each owned particle.
     pub id: Vec<u32>,
-    /// Disk diameter, or rest area a₀ of a polygon.
+    /// Disk diameter, or rest area a₀ of a polygon; after those of owned disks also the diameters of foreign ones.
     pub size: Vec<f64>,
     pub bodies: Bodies,
     /// Points of owned particles, then foreign points.
@@ -102,6 +139,7 @@ impl Particles {
 
     pub fn forget_foreign(&mut self) {
         self.position.truncate(self.owned_points());
+        self.size.truncate(self.len());
         self.foreign.clear();
     }
 
@@ -152,18 +190,45 @@ impl Particles {
     }
 
     /// The owned particles listed in `order`, in that order; no foreign points.
-    pub fn reordered(&self, order: &[u32]) -> Particles {
-        let mut sorted = Particles::empty(&self.bodies);
-        sorted.carried = vec![Vec::with_capacity(self.owned_points()); self.carried.len()];
-        sorted.position.reserve(self.owned_points());
-        for &p in order {
-            let range = self.bodies.points(p as usize);
-            for (to, from) in sorted.carried.iter_mut().zip(&self.carried) {
-                to.extend_from_slice(&from[range.clone()]);
+    pub fn reordered(mut self, order: &[u32]) -> Particles {
+        self.reorder(order);
+        self
+    }
+
+    /// Keeps the owned particles listed in `order`, in that order; no foreign points. One array after the other, so
+    /// that only one of them is there twice.
+    pub fn reorder(&mut self, order: &[u32]) {
+        fn points<T: Copy + Default + Send + Sync>(from: &mut Vec<T>, old: &Bodies, new: &Bodies, order: &[u32]) {
+            if let Bodies::Disks = old {
+                *from = taken(from, order);
+                return;
             }
-            sorted.push(self.id[p as usize], self.size[p as usize], &self.position[range]);
+            let chunks = new.chunks(order.len());
+            let n = chunks.last().map_or(0, |chunk| chunk.points.end);
+            let mut sorted = threads::collect(n, |_| T::default());
+            let copy = |chunk: &Chunk, mut to: &mut [T], _: &mut [()]| {
+                for &p in &order[chunk.particles.clone()] {
+                    let range = old.points(p as usize);
+                    let (here, rest) = to.split_at_mut(range.len());
+                    here.copy_from_slice(&from[range]);
+                    to = rest;
+                }
+            };
+            threads::fold(&chunks, &mut sorted, &mut vec![(); n], &copy, &|(), ()| ());
+            *from = sorted;
         }
-        sorted
+        fn taken<T: Copy + Send + Sync>(from: &[T], order: &[u32]) -> Vec<T> {
+            threads::collect(order.len(), |i| from[order[i] as usize])
+        }
+        self.forget_foreign();
+        let bodies = self.bodies.reordered(order);
+        for vectors in &mut self.carried {
+            points(vectors, &self.bodies, &bodies, order);
+        }
+        points(&mut self.position, &self.bodies, &bodies, order);
+        self.id = taken(&self.id, order);
+        self.size = taken(&self.size, order);
+        self.bodies = bodies;
     }
 }
 
@@ -213,7 +278,7 @@ mod tests {
         let mut q = Particles::empty(&p.bodies);
         q.carried = vec![Vec::new(); 2];
         q.unpack(&message, true);
-        let r = p.reordered(&[1, 0]);
+        let r = p.clone().reordered(&[1, 0]);
         assert_eq!(q.id, [3, 7]);
         assert_eq!(
             (&q.id, &q.size, &q.bodies, &q.position, &q.carried),
@@ -221,6 +286,22 @@ mod tests {
         );
         assert_eq!(q.carried[1][4], [1.0, 0.0]);
         assert_eq!(q.points_of(0), p.points_of(1));
+    }
+
+    #[test]
+    fn chunks_tile_the_points() {
+        let first: Vec<u32> = (0..2001).map(|p| p * 13 + (p > 7) as u32 * 900).collect();
+        for (bodies, n) in [(Bodies::Disks, 3000), (Bodies::Polygons { first }, 2000)] {
+            let cut = bodies.chunks(n);
+            assert!(cut.len() > 4);
+            assert_eq!(cut[0].particles.start, 0);
+            assert!(
+                cut.windows(2)
+                    .all(|w| w[0].particles.end == w[1].particles.start && w[0].points.end == w[1].points.start)
+            );
+            assert_eq!(cut.last().unwrap().points.end, bodies.points(n - 1).end);
+        }
+        assert!(Bodies::Disks.chunks(0).is_empty());
     }
 
     #[test]

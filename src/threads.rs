@@ -1,6 +1,6 @@
-//! Work shared by the threads of one rank, without allocation, and with results that do not depend on their number.
+//! Work shared by the threads of one rank, with results that do not depend on their number.
 
-use crate::particles::Bodies;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// A run of particles that one thread handles at a time.
@@ -9,25 +9,6 @@ pub struct Chunk {
     pub particles: Range<usize>,
     /// Their points, contiguous.
     pub points: Range<usize>,
-}
-
-/// Enough work to be worth handing to another thread.
-const POINTS_PER_CHUNK: usize = 512;
-
-/// Cuts `n` particles into runs of roughly equal numbers of points.
-pub fn chunks(bodies: &Bodies, n: usize) -> Vec<Chunk> {
-    let mut cut = Vec::new();
-    let mut begin = 0;
-    while begin < n {
-        let first_point = bodies.points(begin).start;
-        let mut end = begin;
-        while end < n && bodies.points(end).end <= first_point + POINTS_PER_CHUNK.max(bodies.points(begin).len()) {
-            end += 1;
-        }
-        cut.push(Chunk { particles: begin..end, points: first_point..bodies.points(end - 1).end });
-        begin = end;
-    }
-    cut
 }
 
 /// Calls `work` on every chunk with that chunk's points of two arrays, and merges what it answers. `merge` must not
@@ -64,8 +45,142 @@ pub fn fold<A: Send, B: Send, R: Send>(
 
 /// What `work` gives for every chunk, in order.
 pub fn map<R: Send>(chunks: &[Chunk], work: impl Fn(&Chunk) -> R + Sync + Send) -> Vec<R> {
-    use rayon::prelude::*;
+    if rayon::current_num_threads() == 1 {
+        return chunks.iter().map(work).collect();
+    }
     chunks.par_iter().map(work).collect()
+}
+
+/// Enough items to be worth handing to another thread.
+const BLOCK: usize = 4096;
+
+/// Whether the calling thread had better do it all.
+fn alone(n: usize) -> bool {
+    n <= BLOCK || rayon::current_num_threads() == 1
+}
+
+/// `value(i)` for all i below `n`, in order.
+pub fn collect<T: Send>(n: usize, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    if alone(n) {
+        return (0..n).map(value).collect();
+    }
+    (0..n).into_par_iter().with_min_len(BLOCK).map(value).collect()
+}
+
+/// All i below `n` that `is_wanted`, ascending.
+pub fn choose(n: usize, is_wanted: impl Fn(usize) -> bool + Sync + Send) -> Vec<u32> {
+    let wanted = |i: usize| is_wanted(i).then_some(i as u32);
+    if alone(n) {
+        return (0..n).filter_map(wanted).collect();
+    }
+    (0..n).into_par_iter().with_min_len(BLOCK).filter_map(wanted).collect()
+}
+
+/// Calls `visit` on every item, each of which is much work.
+pub fn for_each<T: Send>(items: &mut [T], visit: impl Fn(&mut T) + Sync + Send) {
+    if rayon::current_num_threads() == 1 {
+        return items.iter_mut().for_each(visit);
+    }
+    items.par_iter_mut().for_each(visit)
+}
+
+/// Merges what `part` gives for runs that tile `range`. `merge` must not care about the order or about where the runs
+/// are cut (exact sums and maxima do not).
+pub fn reduce<R: Send>(
+    range: Range<usize>,
+    part: &(impl Fn(Range<usize>) -> R + Sync),
+    merge: &(impl Fn(R, R) -> R + Sync),
+) -> R {
+    if alone(range.len()) {
+        return part(range);
+    }
+    let middle = range.start + range.len() / 2;
+    let (x, y) = rayon::join(|| reduce(range.start..middle, part, merge), || reduce(middle..range.end, part, merge));
+    merge(x, y)
+}
+
+/// The largest of `value(i)` over all i below `n`, none of which is NaN or negative; 0 when there are none.
+pub fn largest(n: usize, value: impl Fn(usize) -> f64 + Sync) -> f64 {
+    reduce(0..n, &|range| range.map(&value).fold(0.0, f64::max), &f64::max)
+}
+
+/// Indices sorted by a bin in a table of rows and columns.
+pub struct Binned {
+    /// Where each bin starts in `items`, row by row; one entry more than there are bins.
+    pub start: Vec<u32>,
+    /// All indices, those of one bin in ascending order.
+    pub items: Vec<u32>,
+}
+
+/// Sorts all i below `n` by their bin `[column, row]` in a table of `shape`.
+///
+/// First by rows, each thread a run of indices; then each row by columns, gathering what the runs have for it in their
+/// order. Both are counting sorts that keep the order of equals, so that the outcome is that of one thread.
+pub fn sort_by_bin(n: usize, shape: [usize; 2], bin: impl Fn(usize) -> [usize; 2] + Sync + Send) -> Binned {
+    const RUN: usize = 1 << 16;
+    let [columns, rows] = shape;
+    let run = |k: usize| {
+        let range = k * RUN..n.min((k + 1) * RUN);
+        let bins: Vec<[u32; 2]> = range.clone().map(|i| bin(i).map(|b| b as u32)).collect();
+        let mut end = vec![0u32; rows + 1];
+        bins.iter().for_each(|&[_, row]| end[row as usize + 1] += 1);
+        accumulate(&mut end);
+        let mut sorted = vec![[0u32; 2]; bins.len()];
+        for (i, &[column, row]) in range.zip(&bins) {
+            let place = &mut end[row as usize];
+            sorted[*place as usize] = [i as u32, column];
+            *place += 1;
+        }
+        (end, sorted) // the rows end where they did begin, one place on
+    };
+    let n_runs = n.div_ceil(RUN);
+    let runs: Vec<(Vec<u32>, Vec<[u32; 2]>)> =
+        if alone(n) { (0..n_runs).map(run).collect() } else { (0..n_runs).into_par_iter().map(run).collect() };
+    let of_row = |k: usize, row: usize| {
+        let (end, sorted) = &runs[k];
+        let begin = if row > 0 { end[row - 1] } else { 0 };
+        &sorted[begin as usize..end[row] as usize]
+    };
+
+    let mut binned = Binned { start: vec![0; columns * rows + 1], items: vec![0; n] };
+    binned.start[columns * rows] = n as u32;
+    let mut work = Vec::with_capacity(rows);
+    let (mut starts, mut items, mut begin) = (&mut binned.start[..], &mut binned.items[..], 0);
+    for row in 0..rows {
+        let here: usize = (0..n_runs).map(|k| of_row(k, row).len()).sum();
+        let (row_starts, row_items);
+        (row_starts, starts) = starts.split_at_mut(columns);
+        (row_items, items) = items.split_at_mut(here);
+        work.push((row, begin, row_starts, row_items));
+        begin += here as u32;
+    }
+    let sort_row = |(row, begin, starts, items): (usize, u32, &mut [u32], &mut [u32])| {
+        let all = || (0..n_runs).flat_map(|k| of_row(k, row));
+        let mut next = vec![0u32; columns + 1];
+        all().for_each(|&[_, column]| next[column as usize + 1] += 1);
+        accumulate(&mut next);
+        starts.iter_mut().zip(&next).for_each(|(start, &before)| *start = begin + before);
+        for &[i, column] in all() {
+            let place = &mut next[column as usize];
+            items[*place as usize] = i;
+            *place += 1;
+        }
+    };
+    if alone(n) {
+        work.into_iter().for_each(sort_row)
+    } else {
+        work.into_par_iter().for_each(sort_row)
+    }
+    binned
+}
+
+/// Replaces every number by the sum of those up to it.
+fn accumulate(counts: &mut [u32]) {
+    let mut sum = 0;
+    for count in counts {
+        sum += *count;
+        *count = sum;
+    }
 }
 
 #[cfg(test)]
@@ -73,26 +188,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn chunks_tile_the_points() {
-        let first: Vec<u32> = (0..2001).map(|p| p * 13 + (p > 7) as u32 * 900).collect();
-        for (bodies, n) in [(Bodies::Disks, 3000), (Bodies::Polygons { first }, 2000)] {
-            let cut = chunks(&bodies, n);
-            assert!(cut.len() > 4);
-            assert_eq!(cut[0].particles.start, 0);
-            assert!(
-                cut.windows(2)
-                    .all(|w| w[0].particles.end == w[1].particles.start && w[0].points.end == w[1].points.start)
-            );
-            assert_eq!(cut.last().unwrap().points.end, bodies.points(n - 1).end);
-        }
-        assert!(chunks(&Bodies::Disks, 0).is_empty());
-    }
-
-    #[test]
     fn any_number_of_threads_visits_every_point_once() {
         for threads in [1, 2, 3] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let cut = chunks(&Bodies::Disks, 5000);
+            let run = |k: usize| 500 * k..500 * (k + 1);
+            let cut: Vec<Chunk> = (0..10).map(|k| Chunk { particles: run(k), points: run(k) }).collect();
             let (mut a, mut b) = (vec![0u32; 5000], vec![(); 5000]);
             let total = pool.install(|| {
                 fold(
@@ -109,5 +209,32 @@ mod tests {
             assert_eq!(total, Some(4999 * 5000 / 2));
             assert!(a.iter().enumerate().all(|(i, &x)| x == i as u32));
         }
+    }
+
+    #[test]
+    fn any_number_of_threads_sorts_alike() {
+        const N: usize = 200_000;
+        let shape = [37, 53];
+        let bin = |i: usize| [(i * 7919 + i / 11) % shape[0], (i * i / 3) % (shape[1] - 1)];
+        let mut right: Vec<u32> = (0..N as u32).collect();
+        let number = |i: u32| bin(i as usize)[1] * shape[0] + bin(i as usize)[0];
+        right.sort_by_key(|&i| number(i));
+        for threads in [1, 2, 4] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let Binned { start, items } = pool.install(|| sort_by_bin(N, shape, bin));
+            assert_eq!(items, right);
+            assert_eq!((start[0], start.len(), start[shape[0] * shape[1]]), (0, shape[0] * shape[1] + 1, N as u32));
+            let begins = |b: usize| right.partition_point(|&i| number(i) < b) as u32;
+            assert!(start.iter().enumerate().all(|(b, &at)| at == begins(b)));
+            pool.install(|| {
+                assert_eq!(choose(N, |i| i % 3 == 1), (0..N as u32).filter(|i| i % 3 == 1).collect::<Vec<_>>());
+                assert_eq!(largest(N, |i| (i % 1000) as f64), 999.0);
+                let mut squares = collect(N, |i| i * i);
+                for_each(&mut squares, |x| *x += 1);
+                assert!(squares.iter().enumerate().all(|(i, &x)| x == i * i + 1));
+            });
+        }
+        let empty = sort_by_bin(0, [2, 2], |_| [0, 0]);
+        assert_eq!((empty.start, empty.items), (vec![0; 5], vec![]));
     }
 }

@@ -10,6 +10,7 @@ pub use exact_sum::{ExactSum, Grid};
 pub use halo::Halo;
 pub use reduction::{FusedSums, Sums, Totals};
 
+use crate::threads;
 use mpi::collective::UnsafeUserOperation;
 use mpi::point_to_point::{Destination, Source};
 use mpi::topology::{Communicator, SimpleCommunicator};
@@ -131,22 +132,32 @@ impl Comm {
         self.all_gather(&[here]).iter().map(|part| part[0]).sum()
     }
 
-    /// Order-independent sums of `K` quantities over any number of terms on every rank: the same bits whichever rank
-    /// holds a term. `terms` is walked twice (its largest magnitudes first).
-    pub fn sum_terms<const K: usize>(&self, terms: impl Iterator<Item = [f64; K]> + Clone) -> [f64; K] {
-        let mut bound = [0.0f64; K];
-        for term in terms.clone() {
-            for k in 0..K {
-                bound[k] = if term[k].is_nan() { f64::NAN } else { bound[k].max(term[k].abs()) };
-            }
-        }
+    /// Order-independent sums of `K` quantities over `n` terms here and any number on other ranks: the same bits
+    /// whichever rank or thread has a term. Each is asked for twice (the largest magnitudes first).
+    pub fn sum_terms<const K: usize>(&self, n: usize, term: impl Fn(usize) -> [f64; K] + Sync) -> [f64; K] {
+        let larger = |a: f64, b: f64| if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) };
+        let larger_each = |a: [f64; K], b: [f64; K]| std::array::from_fn(|k| larger(a[k], b[k]));
+        let bound = threads::reduce(
+            0..n,
+            &|range| range.map(|i| term(i).map(f64::abs)).fold([0.0; K], larger_each),
+            &larger_each,
+        );
         let grids = self.max_each(bound).map(Grid::for_terms_up_to);
-        let mut sums = [ExactSum::default(); K];
-        for term in terms {
-            for k in 0..K {
-                sums[k].add(grids[k], term[k]);
-            }
-        }
+        let sums = threads::reduce(
+            0..n,
+            &|range| {
+                let mut sums = [ExactSum::default(); K];
+                for i in range {
+                    let row = term(i);
+                    (0..K).for_each(|k| sums[k].add(grids[k], row[k]));
+                }
+                sums
+            },
+            &|mut a: [ExactSum; K], b| {
+                a.iter_mut().zip(b).for_each(|(sum, part)| sum.merge(part));
+                a
+            },
+        );
         let mut whole = [ExactSum::default(); K];
         let words: Vec<u64> = sums.iter().flat_map(|s| s.limbs.map(|l| l as u64)).collect();
         for part in self.all_gather(&words) {

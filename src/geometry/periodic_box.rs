@@ -26,6 +26,18 @@ impl Region {
     pub fn whole() -> Self {
         Region { center: Frac::from_fractions([0.5, 0.5]), span: [1.0; 2] }
     }
+
+    /// Column and row of a point in a table of `shape` laid over the region. Points outside count to the outermost
+    /// ones.
+    #[inline]
+    pub fn bin(&self, point: Frac, shape: [usize; 2]) -> [usize; 2] {
+        let offset = point.minus(self.center);
+        std::array::from_fn(|axis| {
+            let n = shape[axis] as f64;
+            let per_unit = n / (self.span[axis].min(1.0) * PERIOD);
+            (offset[axis] as f64 * per_unit + 0.5 * n).clamp(0.0, n - 1.0) as usize
+        })
+    }
 }
 
 impl PeriodicBox {
@@ -64,6 +76,11 @@ impl PeriodicBox {
     /// Box matrix, box vectors as columns.
     pub fn matrix(&self) -> Matrix2<f64> {
         Matrix2::new(self.lx, self.xy, 0.0, self.ly)
+    }
+
+    /// lx, xy, ly over 2⁶⁴: differences of raw fixed-point coordinates times these are lengths, as in `displacement`.
+    pub fn unit(&self) -> [f64; 3] {
+        self.unit
     }
 
     /// Distances between opposite faces along the two fractional axes. Two points less than half the smaller width

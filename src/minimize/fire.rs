@@ -1,7 +1,8 @@
 use super::{Goal, Minimized, Minimizer, Report};
 use crate::comm::{FusedSums, Grid, Sums, Totals};
 use crate::engine::{EngineError, System};
-use crate::geometry::{Vec2, dot};
+use crate::geometry::{Frac, PeriodicBox, Vec2, dot};
+use crate::lanes::{self, Kernel, Lanes};
 use crate::model::Model;
 
 /// Fast inertial relaxation engine, version 2.0 (Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020)), semi-implicit
@@ -95,15 +96,58 @@ impl Minimizer for Fire {
             velocity2 = keep * (keep * velocity2 + 2.0 * push * norms.power) + push * push * norms.force2;
             let bound = dt * slowed * fastest + step_back * norms.max_velocity;
             system.move_points(bound * (1.0 + 1e-9), |pbox, positions, velocities, forces| {
-                for ((position, velocity), force) in positions.iter_mut().zip(velocities).zip(forces) {
-                    let back = *velocity;
-                    let v: Vec2 = [keep * back[0] + push * force[0], keep * back[1] + push * force[1]];
-                    *velocity = v;
-                    let step = [dt * v[0] - step_back * back[0], dt * v[1] - step_back * back[1]];
-                    *position = pbox.moved(*position, step);
-                }
+                lanes::run(Step { pbox, keep, push, dt, step_back, positions, velocities, forces });
             });
         }
+    }
+}
+
+/// The step of a run of points: v ← keep v + push f, x ← x + dt v − step_back (v before).
+struct Step<'a> {
+    pbox: &'a PeriodicBox,
+    keep: f64,
+    push: f64,
+    dt: f64,
+    step_back: f64,
+    positions: &'a mut [Frac],
+    velocities: &'a mut [Vec2],
+    forces: &'a [Vec2],
+}
+
+impl Kernel for Step<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, _: impl Lanes) {
+        let Step { pbox, keep, push, dt, step_back, positions, velocities, forces } = self;
+        for ((position, velocity), force) in positions.iter_mut().zip(velocities).zip(forces) {
+            let back = *velocity;
+            let v: Vec2 = [keep * back[0] + push * force[0], keep * back[1] + push * force[1]];
+            *velocity = v;
+            let step = [dt * v[0] - step_back * back[0], dt * v[1] - step_back * back[1]];
+            *position = pbox.moved(*position, step);
+        }
+    }
+}
+
+/// What a run of points adds to the sums and maxima of a step.
+struct Partial<'a> {
+    grids: &'a [Grid; Totals::SUMS],
+    forces: &'a [Vec2],
+    lightened: &'a [Vec2],
+    velocities: &'a [Vec2],
+}
+
+impl Kernel for Partial<'_> {
+    type Output = Totals;
+
+    #[inline(always)]
+    fn run(self, _: impl Lanes) -> Totals {
+        let mut totals = Totals::default();
+        for ((&f, &g), &v) in self.forces.iter().zip(self.lightened).zip(self.velocities) {
+            totals.add(self.grids, [dot(f, v), dot(f, g)], [dot(f, f), dot(v, v), dot(g, g)]);
+        }
+        totals
     }
 }
 
@@ -111,11 +155,9 @@ impl Minimizer for Fire {
 /// velocities have outgrown the grids of the sums.
 fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums) -> Result<Norms, EngineError> {
     let partial = |grids: &[Grid; Totals::SUMS], forces: &[Vec2], lightened: &[Vec2], velocities: &[Vec2]| {
-        let mut totals = Totals::default();
-        for ((&f, &g), &v) in forces.iter().zip(lightened).zip(velocities) {
-            totals.add(grids, [dot(f, v), dot(f, g)], [dot(f, f), dot(v, v), dot(g, g)]);
-        }
-        totals
+        // the compiler sees that these are the same, and reads them once
+        let lightened = if M::BODIES { lightened } else { forces };
+        lanes::run(Partial { grids, forces, lightened, velocities })
     };
     let grids = fused.grids;
     let mut totals = system

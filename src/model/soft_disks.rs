@@ -1,5 +1,6 @@
-use super::{Harmonic, Model, Outline, Terms, View, add_outer};
-use crate::geometry::{Vec2, dot};
+use super::{Model, Outline, Terms, View, add_outer};
+use crate::geometry::{Vec2, norm};
+use crate::lanes::{self, Kernel, Lanes};
 use crate::neighbor::{Candidates, DiskList};
 use crate::particles::Bodies;
 use std::ops::Range;
@@ -13,35 +14,78 @@ pub struct SoftDisks {
     pub smallest: f64,
 }
 
-impl SoftDisks {
-    #[inline(always)]
-    fn law(&self, a: f64, b: f64) -> Harmonic {
-        Harmonic { epsilon: self.epsilon, delta: 0.5 * (a + b) }
-    }
+/// An overlap as felt by disk i.
+struct Overlap {
+    /// The other disk.
+    neighbor: u32,
+    /// From the other centre to that of i.
+    separation: Vec2,
+    /// r
+    distance: f64,
+    /// σ_ij
+    contact: f64,
+    /// On i.
+    force: Vec2,
+}
 
-    /// Overlapping neighbours of disk i: index, vector from the neighbour to i, its length, and the law of the pair.
-    #[inline(always)]
-    fn overlaps<'a>(
-        &'a self,
-        view: &'a View<DiskList>,
-        i: usize,
-    ) -> impl Iterator<Item = (u32, Vec2, f64, Harmonic)> + 'a {
+impl SoftDisks {
+    /// Overlaps of disk i, the force of each as in [`Forces`], to the bit.
+    fn overlaps<'a>(&'a self, view: &'a View<DiskList>, i: usize) -> impl Iterator<Item = Overlap> + 'a {
         let size = &view.particles.size;
-        view.lists.neighbors.row(i).iter().filter_map(move |&j| {
-            let d = view.displacement(i as u32, j);
-            let law = self.law(size[i], diameter(view, j));
-            let r2 = dot(d, d);
-            (r2 < law.delta * law.delta).then(|| (j, d, r2.sqrt(), law))
+        view.lists.neighbors(i).filter_map(move |neighbor| {
+            let separation = view.displacement(i as u32, neighbor);
+            let (distance, contact) = (norm(separation), 0.5 * (size[i] + size[neighbor as usize]));
+            let strength = (self.epsilon * (contact - distance)) / ((contact * contact) * distance);
+            // coincident centres push nowhere: the direction is undefined, and a random start leaves it at once
+            let strength = if distance > 0.0 { strength } else { 0.0 };
+            let force = [strength * separation[0], strength * separation[1]];
+            (distance < contact).then_some(Overlap { neighbor, separation, distance, contact, force })
         })
     }
 }
 
-/// Diameter of an own or foreign disk.
-#[inline(always)]
-fn diameter(view: &View<DiskList>, j: u32) -> f64 {
-    match (j as usize).checked_sub(view.particles.len()) {
-        Some(foreign) => view.particles.foreign[foreign].size,
-        None => view.particles.size[j as usize],
+/// Forces on a chunk of disks, eight at a time. Each lane adds the pairs of its own disk in the order of its list.
+struct Forces<'a> {
+    model: &'a SoftDisks,
+    view: &'a View<'a, DiskList>,
+    particles: Range<usize>,
+    forces: &'a mut [Vec2],
+}
+
+impl Kernel for Forces<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, l: impl Lanes) {
+        let Forces { model, view, particles, forces } = self;
+        let (position, size) = (&view.particles.position[..], &view.particles.size[..]);
+        let unit = view.pbox.unit();
+        let is_tilted = unit[1] != 0.0;
+        let [unit_x, tilt, unit_y, epsilon, half, zero] =
+            [unit[0], unit[1], unit[2], model.epsilon, 0.5, 0.0].map(|x| l.splat(x));
+        for slice in view.lists.slices(&particles) {
+            let [own, neighbors @ ..] = slice else { continue };
+            let ([x, y], own_size) = (l.points(position, own), l.numbers(size, own));
+            let (mut fx, mut fy) = (zero, zero);
+            for at in neighbors {
+                let [other_x, other_y] = l.points(position, at);
+                let (across, up) = (l.difference(x, other_x), l.difference(y, other_y));
+                let dx = l.mul(across, unit_x);
+                let dx = if is_tilted { l.add(dx, l.mul(up, tilt)) } else { dx };
+                let dy = l.mul(up, unit_y);
+                let distance = l.sqrt(l.add(l.mul(dx, dx), l.mul(dy, dy)));
+                let contact = l.mul(half, l.add(own_size, l.numbers(size, at)));
+                // −U′(r)/r = ε (σ_ij − r)/(σ_ij² r); r = 0 is a disk in a place that is left over
+                let strength =
+                    l.div(l.mul(epsilon, l.sub(contact, distance)), l.mul(l.mul(contact, contact), distance));
+                let strength = l.where_between(distance, contact, strength);
+                fx = l.add(fx, l.mul(strength, dx));
+                fy = l.add(fy, l.mul(strength, dy));
+            }
+            for (&disk, force) in own.iter().zip(l.vectors(fx, fy)) {
+                forces[disk as usize - particles.start] = force;
+            }
+        }
     }
 }
 
@@ -63,16 +107,7 @@ impl Model for SoftDisks {
     }
 
     fn forces(&self, view: &View<DiskList>, particles: Range<usize>, forces: &mut [Vec2]) {
-        for (force, i) in forces.iter_mut().zip(particles) {
-            let mut sum = [0.0; 2];
-            for (_, d, r, law) in self.overlaps(view, i) {
-                // coincident centres push nowhere: the direction is undefined, and a random start leaves it at once
-                let f = if r > 0.0 { law.force_over_distance(r) } else { 0.0 };
-                sum[0] += f * d[0];
-                sum[1] += f * d[1];
-            }
-            *force = sum;
-        }
+        lanes::run(Forces { model: self, view, particles, forces });
     }
 
     fn lighten(&self, _view: &View<DiskList>, _particles: Range<usize>, forces: &[Vec2], lightened: &mut [Vec2]) {
@@ -81,20 +116,17 @@ impl Model for SoftDisks {
 
     fn terms(&self, view: &View<DiskList>, i: usize) -> Terms {
         let mut terms = Terms::default();
-        self.overlaps(view, i).for_each(|(_, d, r, law)| {
-            terms.contact += 0.5 * law.energy(r);
-            let f = if r > 0.0 { law.force_over_distance(r) } else { 0.0 };
-            add_outer(&mut terms.virial, 0.5, [f * d[0], f * d[1]], d);
-        });
+        for Overlap { separation, distance, contact, force, .. } in self.overlaps(view, i) {
+            let depth = 1.0 - distance / contact;
+            terms.contact += 0.5 * (0.5 * self.epsilon * depth * depth);
+            add_outer(&mut terms.virial, 0.5, force, separation);
+        }
         terms.centroid = terms.virial;
         terms
     }
 
     fn for_each_contact(&self, view: &View<DiskList>, i: usize, mut visit: impl FnMut(u32, Vec2)) {
-        self.overlaps(view, i).for_each(|(j, d, r, law)| {
-            let f = if r > 0.0 { law.force_over_distance(r) } else { 0.0 };
-            visit(j, [f * d[0], f * d[1]]);
-        });
+        self.overlaps(view, i).for_each(|overlap| visit(overlap.neighbor, overlap.force));
     }
 
     fn own_area(&self, view: &View<DiskList>, i: usize) -> f64 {
@@ -103,8 +135,9 @@ impl Model for SoftDisks {
 
     fn outline(&self, view: &View<DiskList>, i: usize) -> Outline {
         let radius = 0.5 * view.particles.size[i];
-        // δ of the pair is the sum of the two radii
-        let overlaps = self.overlaps(view, i).map(|(_, d, _, law)| ([-d[0], -d[1]], law.delta - radius)).collect();
+        // σ_ij is the sum of the two radii
+        let lens = |o: Overlap| ([-o.separation[0], -o.separation[1]], o.contact - radius);
+        let overlaps = self.overlaps(view, i).map(lens).collect();
         Outline::Disk { radius, overlaps }
     }
 

@@ -1,19 +1,15 @@
 use crate::geometry::{Frac, PeriodicBox, Region};
+use crate::threads::{self, Binned};
 
 /// Points sorted into cells at least `reach` wide, so that all points within `reach` of one lie in its own cell or an
 /// adjacent one. Construction and memory are linear in the number of points.
 pub struct CellList {
-    center: Frac,
-    /// Cells per raw fixed-point unit.
-    per_unit: [f64; 2],
+    region: Region,
     shape: [usize; 2],
     periodic: [bool; 2],
     start: Vec<u32>,
     items: Vec<u32>,
 }
-
-/// 2⁶⁴, one period in raw units.
-const PERIOD: f64 = 18_446_744_073_709_551_616.0;
 
 impl CellList {
     pub fn new(pbox: &PeriodicBox, region: &Region, points: &[Frac], reach: f64) -> Self {
@@ -27,51 +23,14 @@ impl CellList {
             let limit = if axis == 0 { most * aspect } else { most / aspect };
             fitting.min(limit.ceil()).max(1.0) as usize
         });
-        let mut cells = CellList {
-            center: region.center,
-            per_unit: std::array::from_fn(|axis| shape[axis] as f64 / (span[axis] * PERIOD)),
-            shape,
-            periodic: region.span.map(|s| s >= 1.0),
-            start: vec![0; shape[0] * shape[1] + 1],
-            items: vec![0; points.len()],
-        };
-        let cell_of: Vec<u32> = points.iter().map(|&p| cells.cell(p) as u32).collect();
-        for &c in &cell_of {
-            cells.start[c as usize + 1] += 1;
-        }
-        for c in 1..cells.start.len() {
-            cells.start[c] += cells.start[c - 1];
-        }
-        let mut next = cells.start.clone();
-        for (i, &c) in cell_of.iter().enumerate() {
-            cells.items[next[c as usize] as usize] = i as u32;
-            next[c as usize] += 1;
-        }
-        cells
-    }
-
-    fn column_and_row(&self, point: Frac) -> [usize; 2] {
-        let offset = point.minus(self.center);
-        std::array::from_fn(|axis| {
-            let n = self.shape[axis] as f64;
-            // points outside an open region count to its outermost cells: adjacency survives
-            (offset[axis] as f64 * self.per_unit[axis] + 0.5 * n).floor().clamp(0.0, n - 1.0) as usize
-        })
-    }
-
-    fn cell(&self, point: Frac) -> usize {
-        let [column, row] = self.column_and_row(point);
-        row * self.shape[0] + column
-    }
-
-    /// Indices of all points cell by cell: neighbours in space stand close together.
-    pub fn in_cell_order(&self) -> &[u32] {
-        &self.items
+        let Binned { start, items } = threads::sort_by_bin(points.len(), shape, |i| region.bin(points[i], shape));
+        CellList { region: *region, shape, periodic: region.span.map(|s| s >= 1.0), start, items }
     }
 
     /// Visits every point in the cell of `point` and the adjacent ones, each once.
     pub fn for_each_near(&self, point: Frac, mut visit: impl FnMut(u32)) {
-        let at = self.column_and_row(point);
+        // points outside an open region count to its outermost cells: adjacency survives
+        let at = self.region.bin(point, self.shape);
         let [columns, rows] = [0, 1].map(|axis| self.adjacent(axis, at[axis]));
         for row in rows.iter().flatten() {
             for column in columns.iter().flatten() {

@@ -30,7 +30,7 @@ pub struct Candidates<'a> {
 /// A neighbour list names points by index; those at or above the number of owned points are foreign.
 pub trait PointList: Send + Sync {
     /// Visits every named point, so that a caller may mark or renumber it.
-    fn for_each_point(&mut self, visit: impl FnMut(&mut u32));
+    fn for_each_point(&mut self, visit: impl Fn(&mut u32) + Sync + Send);
 }
 
 /// Rows of items, one after another.
@@ -101,19 +101,26 @@ impl<'a> EdgeCells<'a> {
     /// `extra` widens the search by a multiple of half the longest edge.
     fn new(candidates: &'a Candidates<'a>, range: f64, extra: f64) -> Self {
         let Candidates { pbox, particles, .. } = candidates;
-        let mut edges = Vec::with_capacity(particles.position.len());
-        let mut midpoints = Vec::with_capacity(particles.position.len());
-        let mut longest = 0.0f64;
-        for p in 0..particles.len() {
-            let points = particles.bodies.points(p);
-            for (index, a) in points.clone().enumerate() {
-                let b = if a + 1 < points.end { a + 1 } else { points.start };
-                let along = pbox.displacement(particles.position[b], particles.position[a]);
-                longest = longest.max(norm(along));
-                edges.push(Edge { ends: [a as u32, b as u32], particle: p as u32, index: index as u32 });
-                midpoints.push(pbox.moved(particles.position[a], scale(0.5, along)));
+        let n = particles.position.len();
+        let mut edges = threads::collect(n, |_| Edge { ends: [0; 2], particle: 0, index: 0 });
+        let mut midpoints = threads::collect(n, |_| Frac::default());
+        let work = |chunk: &Chunk, edges: &mut [Edge], midpoints: &mut [Frac]| {
+            let mut longest = 0.0f64;
+            let mut places = edges.iter_mut().zip(midpoints);
+            for p in chunk.particles.clone() {
+                let points = particles.bodies.points(p);
+                for ((index, a), (edge, midpoint)) in points.clone().enumerate().zip(&mut places) {
+                    let b = if a + 1 < points.end { a + 1 } else { points.start };
+                    let along = pbox.displacement(particles.position[b], particles.position[a]);
+                    longest = longest.max(norm(along));
+                    *edge = Edge { ends: [a as u32, b as u32], particle: p as u32, index: index as u32 };
+                    *midpoint = pbox.moved(particles.position[a], scale(0.5, along));
+                }
             }
-        }
+            longest
+        };
+        let chunks = particles.bodies.chunks(particles.len());
+        let longest = threads::fold(&chunks, &mut edges, &mut midpoints, &work, &f64::max).unwrap_or(0.0);
         let reach = range + 0.5 * extra * longest;
         let by_midpoint = CellList::new(pbox, &candidates.region, &midpoints, reach);
         EdgeCells { candidates, edges, midpoints, by_midpoint, longest }

@@ -27,7 +27,7 @@ impl PackingFraction {
             let overlap = s.polygon.map_or(0.0, |p| p.overlap);
             [s.undeformed_area(), s.covered_area(), 0.5 * s.perimeter * overlap]
         };
-        let [undeformed, covered, twice] = comm.sum_terms(shapes.iter().map(row)).map(|sum| sum / box_area);
+        let [undeformed, covered, twice] = comm.sum_terms(shapes.len(), |p| row(&shapes[p])).map(|sum| sum / box_area);
         let not_convex = shapes.iter().filter(|s| s.polygon.is_some_and(|p| !p.is_convex)).count();
         PackingFraction {
             reduced_number_density: undeformed,

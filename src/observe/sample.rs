@@ -137,16 +137,16 @@ impl Sample {
 
 /// Mean over all particles that have an area.
 fn mean_shape_parameter<M: Model>(system: &System<M>, shapes: &[Shape]) -> ShapeParameter {
-    let rows = shapes.iter().filter_map(Shape::parameter).map(|a| [a.polygon, a.relative, a.shell, 1.0]);
-    let [polygon, relative, shell, n] = system.comm.sum_terms(rows);
+    let row = |p: usize| shapes[p].parameter().map_or([0.0; 4], |a| [a.polygon, a.relative, a.shell, 1.0]);
+    let [polygon, relative, shell, n] = system.comm.sum_terms(shapes.len(), row);
     let mean = |sum: f64| if n > 0.0 { sum / n } else { 0.0 };
     ShapeParameter { polygon: mean(polygon), relative: mean(relative), shell: mean(shell) }
 }
 
 fn area_deviation<M: Model>(system: &System<M>, shapes: &[Shape], n_particles: u64) -> f64 {
     let excess = |s: &Shape| s.area / s.rest_area - 1.0;
-    let rows = shapes.iter().map(|s| [s.area, s.rest_area, excess(s).powi(2)]);
-    let [area, rest, squares] = system.comm.sum_terms(rows);
+    let row = |s: &Shape| [s.area, s.rest_area, excess(s).powi(2)];
+    let [area, rest, squares] = system.comm.sum_terms(shapes.len(), |p| row(&shapes[p]));
     match system.model.bodies() {
         crate::particles::Bodies::Disks => 1.0 - area / rest,
         crate::particles::Bodies::Polygons { .. } => (squares / n_particles as f64).sqrt(),

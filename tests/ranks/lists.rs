@@ -27,8 +27,7 @@ pub fn sp(mut comm: Comm) -> Outcome {
                 j != i && dot(d, d) < reach * reach
             };
             let right: Vec<u32> = (0..all.len()).filter(near).map(|j| j as u32).collect();
-            let listed: Vec<u32> =
-                system.view().lists.neighbors.row(p).iter().map(|&j| name_of(particles, j).0).collect();
+            let listed: Vec<u32> = system.view().lists.neighbors(p).map(|j| name_of(particles, j).0).collect();
             assert_eq!(listed, right, "neighbours of {i}, tilt {tilt}");
             assert!(right.len() < all.len() / 4, "a test of lists, not of all pairs");
         }

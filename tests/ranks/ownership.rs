@@ -150,10 +150,10 @@ where
     M::List: Clone,
 {
     let mut list = system.view().lists.clone();
-    let mut named = BTreeSet::new();
+    let named = std::sync::Mutex::new(BTreeSet::new());
     list.for_each_point(|&mut point| {
         if point as usize >= owned {
-            named.insert(point);
+            named.lock().unwrap().insert(point);
         }
     });
     named
