@@ -590,9 +590,14 @@ impl<M: Model> System<M> {
     /// Refreshes a value per point from the owners, own points first; T is two words wide.
     pub fn share<T: bytemuck::Pod + Default>(&mut self, own: Vec<T>) -> Vec<T> {
         let mut values = own;
-        values.resize(self.particles.position.len(), T::default());
-        self.halo.update(&self.comm, &mut values);
+        self.refresh(&mut values);
         values
+    }
+
+    /// The same in place; room for the foreign points is made at the first call.
+    pub fn refresh<T: bytemuck::Pod + Default>(&mut self, values: &mut Vec<T>) {
+        values.resize(self.particles.position.len(), T::default());
+        self.halo.update(&self.comm, values);
     }
 
     /// Global id of the lowest-numbered particle with a point whose force is not below `limit`, if there is one.

@@ -18,4 +18,5 @@ pub mod particles;
 pub mod protocol;
 pub mod run;
 pub mod scene;
+pub mod stiffness;
 pub mod threads;

@@ -1,4 +1,4 @@
-use super::deformable::{Contact, Touch, touch};
+use super::deformable::{Contact, Slide, Touch, is_inside, touch};
 use super::{Harmonic, View};
 use crate::geometry::{Vec2, dot, scale, sub};
 use crate::neighbor::{Candidates, VertexEdgeList};
@@ -58,8 +58,10 @@ impl Contact for VertexEdge {
             for &[a, b] in view.lists.edges.row(point) {
                 let from_a = view.displacement(point as u32, a);
                 let along = view.displacement(b, a);
-                for_each_part(law.delta, from_a, along, |sign, _, d, length| {
-                    visit(touch(law, sign, [(here, 1.0), (here, 0.0)], a, d, length));
+                for_each_part(law.delta, from_a, along, |sign, t, d, length| {
+                    let (ours, theirs) = ([(here, 1.0), (here, 0.0)], [(a, 1.0 - t), (b, t)]);
+                    let slide = if is_inside(t) { Slide::Theirs(along) } else { Slide::None };
+                    visit(touch(law, sign, ours, theirs, slide, d, length));
                 });
             }
             let next = if point + 1 < points.end { point + 1 } else { points.start };
@@ -72,8 +74,9 @@ impl Contact for VertexEdge {
             for &vertex in vertices {
                 let from_a = view.displacement(vertex, point as u32);
                 for_each_part(law.delta, from_a, along, |sign, t, d, length| {
-                    let ours = [(ends[0], 1.0 - t), (ends[1], t)];
-                    visit(touch(law, sign, ours, vertex, [-d[0], -d[1]], length));
+                    let (ours, theirs) = ([(ends[0], 1.0 - t), (ends[1], t)], [(vertex, 1.0), (vertex, 0.0)]);
+                    let slide = if is_inside(t) { Slide::Ours(along) } else { Slide::None };
+                    visit(touch(law, sign, ours, theirs, slide, [-d[0], -d[1]], length));
                 });
             }
         }

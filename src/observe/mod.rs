@@ -5,12 +5,14 @@
 
 mod contacts;
 mod crossings;
+mod moduli;
 mod packing_fraction;
 mod sample;
 mod shape;
 
 pub use contacts::{Contacts, Rattlers};
 pub use crossings::check_no_crossing;
+pub use moduli::{Moduli, Modulus, Stability};
 pub use packing_fraction::PackingFraction;
 pub use sample::{OnsetBracket, PerParticle, Sample};
 pub use shape::{Shape, ShapeParameter};
