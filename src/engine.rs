@@ -200,6 +200,21 @@ impl<M: Model> System<M> {
         self.travel_bound = f64::INFINITY;
     }
 
+    /// Shears the box (x displaced by `strain` × y) and takes every point along affinely; a box tilted by more than
+    /// half its first edge is replaced by an equal one that is not, exactly.
+    pub fn shear(&mut self, strain: f64) {
+        let (pbox, flips) = self.pbox.sheared(strain).least_tilted();
+        if flips != 0 {
+            self.particles.forget_foreign();
+            for point in &mut self.particles.position {
+                *point = point.flipped(flips);
+            }
+            // the subdomains lie elsewhere now
+            self.stale = true;
+        }
+        self.deform(pbox);
+    }
+
     /// Changes the box, takes particle centres along affinely and moves each particle as a rigid whole.
     pub fn deform_rigidly(&mut self, to: PeriodicBox) {
         if matches!(self.particles.bodies, Bodies::Disks) {

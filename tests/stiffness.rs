@@ -4,9 +4,11 @@ use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::exchange::Configuration;
 use jamhpc::geometry::{PeriodicBox, Vec2, norm};
+use jamhpc::minimize::{Fire, Goal, Minimizer};
 use jamhpc::model::{Deformable, DeformableParameters, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
-use jamhpc::observe::{Moduli, Stability};
+use jamhpc::observe::{Moduli, Spectrum, Stability};
 use jamhpc::particles::Particles;
+use jamhpc::protocol::quasi_static_shear_modulus;
 use jamhpc::stiffness::{Stiffness, elastic};
 
 /// Numbers in (−1, 1) that look random and never change.
@@ -227,4 +229,49 @@ fn jammed_packings() {
     println!("{polygons:?}");
     close("G of polygons", &[polygons.shear_modulus.linear_response], &[linear.unwrap()], 1e-6);
     close("affine G of polygons", &[polygons.shear_modulus.affine], &[affine.unwrap()], 1e-6);
+}
+
+/// G by relaxed strains of the box and by linear response, from one state.
+#[test]
+fn quasi_static_strain_agrees() {
+    fn check<M: Model + Copy>(model: M, text: &str, force_tolerance: f64) {
+        let (pbox, particles) = shaken(text, 0.0, 0.0);
+        let mut system = system(model, pbox, &particles);
+        let goal = Goal { force_tolerance, max_iterations: 1_000_000 };
+        assert!(Fire.minimize(&mut system, &goal).unwrap().is_converged());
+        let linear = Moduli::of(&mut system).unwrap().shear_modulus.linear_response;
+        let strained = quasi_static_shear_modulus(&mut system, &Fire, &goal, 1e-5).unwrap();
+        println!("{linear} {strained}: {:e}", strained / linear - 1.0);
+        assert!((strained - linear).abs() < 1e-6 * linear, "{strained} instead of {linear}");
+        // the system is as it was
+        assert_eq!(*system.pbox(), pbox);
+        assert!(system.max_force().unwrap() <= force_tolerance);
+    }
+    check(SoftDisks { epsilon: 1.0, smallest: 1.0 }, DISKS, 1e-14);
+    let case: serde_json::Value = serde_json::from_str(SQUARE).unwrap();
+    let number = |key: &str| case["input"][key].as_f64().unwrap();
+    let mut model = parameters(1.0, number("k_area"), number("epsilon"), number("delta"));
+    model.largest_area_per_vertex = 0.11;
+    check(Deformable::<VertexEdge>::new(model), SQUARE, 1e-11);
+}
+
+/// A minimum has two zero modes, the shifts of the whole, and no negative one; points by themselves have nothing else.
+#[test]
+fn spectra() {
+    let (pbox, particles) = shaken(DISKS, 0.0, 0.0);
+    let model = SoftDisks { epsilon: 1.0, smallest: 1.0 };
+    let jammed = Spectrum::of(&mut system(model, pbox, &particles)).unwrap().unwrap();
+    assert_eq!((jammed.eigenvalues.len(), jammed.n_zero, jammed.n_negative), (128, 2, 0));
+    // in a box so large that nothing touches
+    let wide = PeriodicBox::square(3.0 * pbox.lx());
+    let loose = Spectrum::of(&mut system(model, wide, &particles)).unwrap().unwrap();
+    assert_eq!((loose.n_zero, loose.n_negative), (128, 0));
+    // the same packing turned over by a random push is no minimum
+    let (_, shaken) = shaken(DISKS, 0.3, 0.0);
+    assert!(Spectrum::of(&mut system(model, pbox, &shaken)).unwrap().unwrap().n_negative > 0);
+    let (pbox, particles) = self::shaken(SQUARE, 0.0, 0.0);
+    let model = Deformable::<VertexEdge>::new(parameters(1.0, 100.0, 1e4, 0.1));
+    let polygons = Spectrum::of(&mut system(model, pbox, &particles)).unwrap().unwrap();
+    assert_eq!(polygons.eigenvalues.len(), 2 * particles.owned_points());
+    assert!(polygons.eigenvalues.windows(2).all(|pair| pair[0] <= pair[1]));
 }

@@ -9,6 +9,7 @@ mod moduli;
 mod packing_fraction;
 mod sample;
 mod shape;
+mod spectrum;
 
 pub use contacts::{Contacts, Rattlers};
 pub use crossings::check_no_crossing;
@@ -16,3 +17,4 @@ pub use moduli::{Moduli, Modulus, Stability};
 pub use packing_fraction::PackingFraction;
 pub use sample::{OnsetBracket, PerParticle, Sample};
 pub use shape::{Shape, ShapeParameter};
+pub use spectrum::{MAX_COORDINATES, Spectrum};

@@ -1,4 +1,4 @@
-use super::{Contacts, PackingFraction, Rattlers, Shape, ShapeParameter};
+use super::{Contacts, Moduli, PackingFraction, Rattlers, Shape, ShapeParameter, Stability};
 use crate::engine::{Energies, EngineError, System};
 use crate::minimize::Report;
 use crate::model::Model;
@@ -26,6 +26,10 @@ pub struct Sample {
     /// What the minimisation of this state cost.
     pub iterations: u64,
     pub force_evaluations: u64,
+    /// Simple shear strain since the compression ended.
+    pub strain: f64,
+    /// Elastic moduli, if they were asked for.
+    pub moduli: Option<Moduli>,
     /// Where this packing jams, if that is known.
     pub onset: Option<OnsetBracket>,
 }
@@ -77,6 +81,8 @@ impl Sample {
             max_force: report.max_force,
             iterations: report.iterations,
             force_evaluations: report.force_evaluations,
+            strain: 0.0,
+            moduli: None,
             onset: None,
         };
         let per_area = |(t, s): (&crate::model::Terms, &Shape)| {
@@ -98,6 +104,11 @@ impl Sample {
         self.energies.pressure()
     }
 
+    /// −Σ_xy = (dU/dγ)/A: rises with the strain γ.
+    pub fn shear_stress(&self) -> f64 {
+        -self.energies.virial[1]
+    }
+
     /// All numbers by the names that files give them.
     pub fn scalars(&self) -> Vec<(&'static str, f64)> {
         let mut named = vec![
@@ -110,6 +121,8 @@ impl Sample {
             ("energy_area", self.energies.area),
             ("energy_contact", self.energies.contact),
             ("pressure", self.pressure()),
+            ("shear_stress", self.shear_stress()),
+            ("strain", self.strain),
             ("stress_mismatch", self.energies.stress_mismatch()),
             ("n_particles", self.n_particles as f64),
             ("n_contacts", self.n_contacts as f64),
@@ -123,6 +136,16 @@ impl Sample {
             ("iterations", self.iterations as f64),
             ("force_evaluations", self.force_evaluations as f64),
         ];
+        if let Some(moduli) = &self.moduli {
+            named.extend([
+                ("shear_modulus", moduli.shear_modulus.linear_response),
+                ("shear_modulus_affine", moduli.shear_modulus.affine),
+                ("pure_shear_modulus", moduli.pure_shear_modulus.linear_response),
+                ("mean_shear_modulus", moduli.mean_shear_modulus),
+                ("bulk_modulus", moduli.bulk_modulus.linear_response),
+                ("moduli_are_stable", (moduli.stability == Stability::Stable) as u8 as f64),
+            ]);
+        }
         if let Some(bracket) = self.onset {
             named.extend([("onset_density", bracket.onset), ("unjammed_density", bracket.unjammed)]);
         }

@@ -10,8 +10,9 @@ pub use preconditioner::Preconditioner;
 pub use solve::{Goal, Solution, solve};
 
 use crate::engine::{EngineError, System};
-use crate::geometry::{Vec2, dot};
+use crate::geometry::{Polygon, Vec2, dot};
 use crate::model::{Block, Elastic, Model, strained, times};
+use crate::particles::Particles;
 use crate::threads;
 
 /// H = ∂²U/∂x∂x in the present state of a system, for its present lists.
@@ -30,13 +31,7 @@ impl Stiffness {
     pub fn of<M: Model>(system: &mut System<M>) -> Result<Self, EngineError> {
         system.prepare()?;
         let (view, particles) = (system.view(), system.particles());
-        // global names of points, by which sums are ordered
-        let mut name = Vec::with_capacity(particles.position.len());
-        for p in 0..particles.len() {
-            let id = (particles.id[p] as u64) << 32;
-            name.extend((0..particles.bodies.points(p).len() as u64).map(|k| id | k));
-        }
-        name.extend(particles.foreign.iter().map(|f| (f.id as u64) << 32 | f.index as u64));
+        let name = names(particles); // the order of sums
 
         let parts = threads::map(system.chunks(), |chunk| {
             let (mut lengths, mut entries) = (Vec::new(), Vec::<(u32, Block)>::new());
@@ -77,6 +72,25 @@ impl Stiffness {
             whole.area_stiffness = weight;
         }
         Ok(whole)
+    }
+
+    /// Visits all blocks in the rows of own points, a diagonal one of each point among them, by the global names of
+    /// the points of row and column. Blocks of one row and column add up.
+    pub fn for_each_block<M: Model>(&self, system: &System<M>, mut visit: impl FnMut(u64, u64, Block)) {
+        let particles = system.particles();
+        let name = names(particles);
+        for p in 0..particles.len() {
+            let points = particles.bodies.points(p);
+            for point in points.clone() {
+                visit(name[point], name[point], [0.0; 4]);
+                self.row(point).iter().for_each(|&(column, block)| visit(name[point], name[column as usize], block));
+                for other in points.clone().filter(|_| M::BODIES) {
+                    let (g, h) = (self.area_gradient[point], self.area_gradient[other]);
+                    let product = [g[0] * h[0], g[0] * h[1], g[1] * h[0], g[1] * h[1]];
+                    visit(name[point], name[other], product.map(|x| self.area_stiffness * x));
+                }
+            }
+        }
     }
 
     fn row(&self, point: usize) -> &[(u32, Block)] {
@@ -127,11 +141,8 @@ impl Stiffness {
         let mut forces: [Vec<Vec2>; 4] = std::array::from_fn(|_| Vec::with_capacity(particles.owned_points()));
         for p in 0..particles.len() {
             let points = particles.bodies.points(p);
-            let own_area = if M::BODIES {
-                crate::geometry::Polygon::from_vertices(view.pbox, particles.points_of(p)).area()
-            } else {
-                0.0
-            };
+            let own_area =
+                if M::BODIES { Polygon::from_vertices(view.pbox, particles.points_of(p)).area() } else { 0.0 };
             for point in points {
                 // rows sum to zero, so only distances count
                 let mut sum = [[0.0; 2]; 4];
@@ -157,6 +168,17 @@ impl Stiffness {
         }
         forces
     }
+}
+
+/// Global name of every own and foreign point: id of its particle, and its place there.
+fn names(particles: &Particles) -> Vec<u64> {
+    let mut names = Vec::with_capacity(particles.position.len());
+    for p in 0..particles.len() {
+        let id = (particles.id[p] as u64) << 32;
+        names.extend((0..particles.bodies.points(p).len() as u64).map(|k| id | k));
+    }
+    names.extend(particles.foreign.iter().map(|f| (f.id as u64) << 32 | f.index as u64));
+    names
 }
 
 /// Second derivatives of the energy of the whole system by the strain, points taken along affinely. Collective.

@@ -12,6 +12,7 @@ mod invariance;
 mod lists;
 mod moduli;
 mod ownership;
+mod shear;
 mod systems;
 
 use harness::{Case, Start};
@@ -58,6 +59,9 @@ fn main() -> std::process::ExitCode {
         Case::new("onset_dp", invariance::onset_dp, RANKS_AND_THREADS),
         Case::new("moduli_sp", moduli::sp, RANKS_AND_THREADS),
         Case::new("moduli_dp", moduli::dp, FEW),
+        Case::new("shear_sp", shear::sp, RANKS),
+        Case::new("shear_dp", shear::dp, FEW),
+        Case::new("box_flip", shear::flip, ONE_AND_FOUR),
         Case::new("hard_cases", hard_cases::all, ONE_AND_FOUR),
         Case::new("area_ratio_80", hard_cases::area_ratio_80, ONE_AND_FOUR),
         Case::new("empty_subdomains", hard_cases::empty_subdomains, RANKS),
