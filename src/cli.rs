@@ -49,6 +49,8 @@ Examples:
   jamhpc info jamhpc-out/*.h5                   what is in a results file
   jamhpc render FILE.h5 --frame 3 --color-by pressure -o frame3.png
   jamhpc evaluate FILE.json                     energy, forces, stress, contacts of one configuration
+  jamhpc analyze FILE.h5 --all -o numbers.csv   every observable of every frame, measured again
+  jamhpc check FILE.h5                          is every frame relaxed, uncrossed, and what it says it is?
 
 Exit codes: 0 done, 2 bad input, 3 a state did not converge, 1 other failures, 70 internal error.";
 
@@ -92,6 +94,31 @@ pub enum Command {
         /// Give up after this many iterations
         #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = clap::value_parser!(u64).range(1..))]
         max_iterations: u64,
+    },
+    /// Measure a stored state again: every observable by name
+    Analyze {
+        /// A results file of a run, or a configuration in JSON
+        file: PathBuf,
+        /// Which frame; the last one if not given
+        #[arg(long, value_name = "K")]
+        frame: Option<usize>,
+        /// All frames, as a table (CSV)
+        #[arg(long, conflicts_with = "frame")]
+        all: bool,
+        /// Where to write; the terminal if not given
+        #[arg(short, long, value_name = "OUT")]
+        output: Option<PathBuf>,
+    },
+    /// Is a stored state valid? Force balance, stresses, crossings, contacts, and that its numbers are its own
+    Check {
+        /// A results file of a run, or a configuration in JSON
+        file: PathBuf,
+        /// Which frame; all of them if not given
+        #[arg(long, value_name = "K")]
+        frame: Option<usize>,
+        /// Largest force of a relaxed state; that of the scene if not given, 1e-8 for a configuration
+        #[arg(long, value_name = "F", value_parser = positive)]
+        force_tolerance: Option<f64>,
     },
     /// Draw one frame of a results file
     Render {

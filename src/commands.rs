@@ -1,5 +1,6 @@
 //! What each command does. Whatever a command cannot do ends as one line on the standard error and an exit code.
 
+use crate::analysis;
 use crate::cli::{Cli, Command, LogFormat, RunOptions, Settings, Starter};
 use crate::comm::{Comm, Session};
 use crate::exchange;
@@ -54,6 +55,24 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let (relaxed, outcome) = exchange::minimize(comm, &text, &file.display().to_string(), &Fire, &goal)?;
             write(&session.world(), output, &relaxed)?;
             report(outcome, &goal, output)
+        }
+        Some(Command::Analyze { file, frame, all, output }) => {
+            let text = text_of_configuration(&comm, file)?;
+            if text.is_some() && (*all || frame.is_some()) {
+                let file = file.display();
+                return Err(Failure::Input(format!(
+                    "{file} is no results file and has no frames: leave --frame and --all out"
+                )));
+            }
+            let analysis = analysis::analyze(session, file, text.as_deref(), *frame, *all)?;
+            match output {
+                None => print(&comm, &analysis),
+                Some(output) => write(&comm, output, &analysis),
+            }
+        }
+        Some(Command::Check { file, frame, force_tolerance }) => {
+            let text = text_of_configuration(&comm, file)?;
+            print(&comm, &analysis::check(session, file, text.as_deref(), *frame, *force_tolerance)?)
         }
         Some(Command::Render { file, frame, color_by, output }) => {
             let ending = output.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
@@ -132,15 +151,20 @@ fn read_scene(comm: &Comm, file: Option<&Path>, options: &RunOptions) -> Result<
     Ok(scene)
 }
 
+/// The text of a file that is no results file; none of one that is.
+fn text_of_configuration(comm: &Comm, file: &Path) -> Result<Option<String>, Failure> {
+    let is_results = comm.from_root(|| Ok::<_, Failure>(vec![is_hdf5(file) as u8]))? == [1];
+    if is_results { Ok(None) } else { read_text(comm, file).map(Some) }
+}
+
 /// A configuration in the exchange format, from such a file or from a frame of a results file.
 fn read_configuration(comm: &Comm, file: &Path, frame: Frame) -> Result<String, Failure> {
-    let is_results = comm.from_root(|| Ok::<_, Failure>(vec![is_hdf5(file) as u8]))? == [1];
-    if !is_results {
+    if let Some(text) = text_of_configuration(comm, file)? {
         if frame.is_some() {
             let file = file.display();
             return Err(Failure::Input(format!("--frame is for results files, and {file} is none: leave it out")));
         }
-        return read_text(comm, file);
+        return Ok(text);
     }
     let bytes = comm.from_root(|| {
         let configuration = frames::configuration(file, frame)?;

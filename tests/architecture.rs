@@ -27,6 +27,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("failure", &["engine", "exchange", "output", "protocol", "scene"]),
     ("run", ANY),
     ("frames", ANY),
+    ("analysis", ANY),
     ("cli", ANY),
     ("commands", ANY),
     ("lib", ANY),

@@ -17,7 +17,7 @@ use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, add};
 use crate::minimize::{Goal, Minimized, Minimizer};
 use crate::model::{Deformable, DeformableParameters, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
-use crate::observe::check_no_crossing;
+use crate::observe::{Look, check_no_crossing};
 use crate::particles::Bodies;
 use serde::Serialize;
 
@@ -41,6 +41,28 @@ pub fn minimize(
     goal: &Goal,
 ) -> Result<(String, Minimized), ExchangeError> {
     with_system(comm, text, origin, Relax { minimizer, goal })
+}
+
+/// Sets up the configuration in `text` and has a look at it. Collective.
+pub fn look<L: Look<Error = EngineError>>(
+    comm: Comm,
+    text: &str,
+    origin: &str,
+    look: L,
+) -> Result<L::Output, ExchangeError> {
+    with_system(comm, text, origin, AsTask(look))
+}
+
+struct AsTask<L>(L);
+
+impl<L: Look<Error = EngineError>> Task for AsTask<L> {
+    type Output = L::Output;
+
+    const SKIN: f64 = Evaluate::SKIN;
+
+    fn run<M: Model>(self, _: Configuration, mut system: System<M>) -> Result<L::Output, EngineError> {
+        self.0.look(&mut system)
+    }
 }
 
 /// What to do with a system whose model is only known once the text has been read.

@@ -5,6 +5,7 @@
 
 mod contacts;
 mod crossings;
+mod invariants;
 mod moduli;
 mod packing_fraction;
 mod sample;
@@ -13,8 +14,20 @@ mod spectrum;
 
 pub use contacts::{Contacts, Rattlers};
 pub use crossings::check_no_crossing;
+pub use invariants::{Invariant, invariants};
 pub use moduli::{Moduli, Modulus, Stability};
 pub use packing_fraction::PackingFraction;
 pub use sample::{OnsetBracket, PerParticle, Sample};
 pub use shape::{Shape, ShapeParameter};
 pub use spectrum::{MAX_COORDINATES, Spectrum};
+
+use crate::engine::System;
+use crate::model::Model;
+
+/// Something to do with a system whose model is known only once a file has been read.
+pub trait Look {
+    type Output;
+    type Error;
+
+    fn look<M: Model>(self, system: &mut System<M>) -> Result<Self::Output, Self::Error>;
+}
