@@ -8,11 +8,17 @@ pub struct Capsule {
     pub along: Vec2,
     pub length: f64,
     pub radius: f64,
+    /// Reach to the left of the segment, between the normals at its ends, where it differs from `radius` by a hair.
+    pub inner: f64,
 }
 
 impl Capsule {
     /// Whether a point, given relative to the start of the segment, lies inside.
     pub fn holds(&self, point: Vec2) -> bool {
+        let (ahead, left) = (dot(self.along, point), cross(self.along, point));
+        if left > 0.0 && ahead > 0.0 && ahead < self.length {
+            return left < self.inner;
+        }
         let axis = scale(self.length, self.along);
         let from_axis = sub(point, scale(closest_on_segment(point, axis), axis));
         dot(from_axis, from_axis) < self.radius * self.radius
@@ -111,7 +117,7 @@ impl Piece {
 /// The part of a line, given by a unit vector, that lies inside a capsule whose segment starts at `start` relative to
 /// the line's origin: one interval, as capsules are convex. Empty when the first number is the larger.
 fn line_inside(start: Vec2, line: Vec2, capsule: &Capsule) -> [f64; 2] {
-    let Capsule { along, length, radius } = *capsule;
+    let Capsule { along, length, radius, inner } = *capsule;
     let mut whole = [f64::INFINITY, f64::NEG_INFINITY];
     let mut add = |low: f64, high: f64| {
         if low < high {
@@ -129,7 +135,7 @@ fn line_inside(start: Vec2, line: Vec2, capsule: &Capsule) -> [f64; 2] {
     disk(start);
     if length > 0.0 {
         disk([start[0] + length * along[0], start[1] + length * along[1]]);
-        let [low, high] = within(-cross(along, start), cross(along, line), -radius, radius);
+        let [low, high] = within(-cross(along, start), cross(along, line), -radius, inner);
         let [first, last] = within(-dot(along, start), dot(along, line), 0.0, length);
         add(low.max(first), high.min(last));
     }
@@ -149,7 +155,7 @@ fn within(value: f64, slope: f64, low: f64, high: f64) -> [f64; 2] {
 /// Visits all angles, eight at most, at which a circle about the origin may enter or leave a capsule whose segment
 /// starts at `start`.
 fn circle_crossings(circle: f64, start: Vec2, capsule: &Capsule, mut visit: impl FnMut(f64)) {
-    let Capsule { along, length, radius } = *capsule;
+    let Capsule { along, length, radius, inner } = *capsule;
     let mut cap = |center: Vec2| {
         let d = norm(center);
         if d > (circle - radius).abs() && d < circle + radius {
@@ -163,7 +169,7 @@ fn circle_crossings(circle: f64, start: Vec2, capsule: &Capsule, mut visit: impl
     if length > 0.0 {
         cap([start[0] + length * along[0], start[1] + length * along[1]]);
         let direction = along[1].atan2(along[0]);
-        for side in [-radius, radius] {
+        for side in [-radius, inner] {
             let sine = (side + cross(along, start)) / circle;
             if sine.abs() < 1.0 {
                 visit(direction + sine.asin());
@@ -188,7 +194,8 @@ mod tests {
             start in [-1.5..1.5f64, -1.5..1.5f64], turn in 0.0..TAU, length in 0.0..2.0f64, radius in 0.05..1.2f64,
             from in 0.0..TAU, sweep in 0.1..TAU, is_disk: bool, is_arc: bool,
         ) {
-            let capsule = Capsule { along: unit(turn), length: if is_disk { 0.0 } else { length }, radius };
+            let length = if is_disk { 0.0 } else { length };
+            let capsule = Capsule { along: unit(turn), length, radius, inner: radius };
             let piece = if is_arc {
                 Piece::Arc { radius: 0.7, from, sweep }
             } else {

@@ -30,9 +30,7 @@ pub struct Exposure {
 impl Exposure {
     /// The complement of the hidden parts in 0 … `extent`. They are sorted on the way.
     pub fn of(hidden: &mut [Hidden], extent: f64) -> Exposure {
-        hidden.sort_unstable_by(|a, b| {
-            a.from.total_cmp(&b.from).then(a.to.total_cmp(&b.to)).then(a.by.cmp(&b.by))
-        });
+        hidden.sort_unstable_by(|a, b| a.from.total_cmp(&b.from).then(a.to.total_cmp(&b.to)).then(a.by.cmp(&b.by)));
         let mut exposure = Exposure::default();
         let (mut reached, mut by) = (0.0, None);
         for part in hidden.iter() {

@@ -1,4 +1,4 @@
-//! Points, boxes, segments, polygons and disks in the periodic plane.
+//! Points, boxes, segments, polygons, disks and rounded outlines in the periodic plane.
 //!
 //! Everything here is pure: no particle, no potential, no rank is known in this room.
 

@@ -6,6 +6,7 @@ use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::geometry::PeriodicBox;
 use jamhpc::minimize::{Fire, Goal, Minimizer};
+use jamhpc::observe::{Contacts, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
 use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
 use jamhpc::protocol::{OnsetSearch, compress_to, find_onset};
 
@@ -94,4 +95,40 @@ pub fn onset_dp(comm: Comm) -> Outcome {
     let system: System<Deformable<VertexEdge>> = random_dp(comm, 128, unit_box(0.0), 0.7, 0.95);
     let goal = goal(1e-2, 100_000);
     onset(system, &goal, &OnsetSearch { step: 0.02, smallest_step: 1e-6, pressure: [0.1, 0.5] })
+}
+
+/// The packing fraction and all voids of a state, with and without rattlers, to the last bit.
+fn voids<M: Model>(system: &mut System<M>) -> Outcome {
+    let shapes: Vec<Shape> = system.outlines().unwrap().iter().map(Shape::of).collect();
+    let density = PackingFraction::of(system, &shapes).unwrap();
+    let contacts = Contacts::of(system, Rattlers::default()).unwrap();
+    let removed = rattler_ids(system, &contacts);
+    let all = Voids::of(system, &[], Some(density.packing_fraction)).unwrap();
+    let some = Voids::of(system, &removed, None).unwrap();
+    let mut lines = vec![
+        hex(&[density.packing_fraction, density.double_counted]),
+        format!("{removed:?} {:?} {:?}", all.statistics, some.statistics),
+    ];
+    for void in all.list.iter().chain(&some.list) {
+        lines.push(format!("{} {} {} {}", void.sides, void.islands, void.percolates, hex(&[void.area, void.perimeter])));
+    }
+    lines
+}
+
+pub fn voids_sp(comm: Comm) -> Outcome {
+    let mut system = random_sp(comm, 256, unit_box(0.2), 0.6, 0.9);
+    let mut outcome = voids(&mut system); // random: deep overlaps, nothing percolates
+    system.deform(system.pbox().with_area(system.pbox().area() * 0.6 / 0.88));
+    Fire.minimize(&mut system, &goal(1e-10, 20_000)).unwrap();
+    outcome.extend(voids(&mut system));
+    outcome
+}
+
+pub fn voids_dp(comm: Comm) -> Outcome {
+    let mut system = random_dp::<VertexEdge>(comm, 64, unit_box(0.1), 0.5, 0.95);
+    let mut outcome = voids(&mut system); // one void with many islands
+    let goal = goal(1e-4, 20_000);
+    compress_to(&mut system, 0.9, &Fire, &goal).unwrap();
+    outcome.extend(voids(&mut system));
+    outcome
 }

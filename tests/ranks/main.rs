@@ -53,6 +53,8 @@ fn main() -> std::process::ExitCode {
         Case::new("fire_dp", invariance::fire_dp, RANKS_AND_THREADS),
         Case::new("onset_sp", invariance::onset_sp, RANKS_AND_THREADS),
         Case::new("onset_dp", invariance::onset_dp, RANKS_AND_THREADS),
+        Case::new("voids_sp", invariance::voids_sp, RANKS),
+        Case::new("voids_dp", invariance::voids_dp, RANKS),
         Case::new("hard_cases", hard_cases::all, ONE_AND_FOUR),
         Case::new("area_ratio_80", hard_cases::area_ratio_80, ONE_AND_FOUR),
         Case::new("empty_subdomains", hard_cases::empty_subdomains, RANKS),
