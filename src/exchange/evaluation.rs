@@ -146,8 +146,7 @@ impl Evaluation {
                 n if n == network.n_particles => None,
                 _ => Some(VoidSummary::new(&Voids::of(system, &removed, None)?.statistics, delta)),
             };
-            void_statistics =
-                Some(VoidSummaries { all: VoidSummary::new(&all.statistics, delta), without_rattlers });
+            void_statistics = Some(VoidSummaries { all: VoidSummary::new(&all.statistics, delta), without_rattlers });
             let row = |v: &Void| VoidRow {
                 sides: v.sides,
                 area: v.area,

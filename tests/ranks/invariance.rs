@@ -6,8 +6,8 @@ use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::geometry::PeriodicBox;
 use jamhpc::minimize::{Fire, Goal, Minimizer};
-use jamhpc::observe::{Contacts, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
 use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
+use jamhpc::observe::{Contacts, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
 use jamhpc::protocol::{OnsetSearch, compress_to, find_onset};
 
 pub fn forces_sp(comm: Comm) -> Outcome {
@@ -110,7 +110,13 @@ fn voids<M: Model>(system: &mut System<M>) -> Outcome {
         format!("{removed:?} {:?} {:?}", all.statistics, some.statistics),
     ];
     for void in all.list.iter().chain(&some.list) {
-        lines.push(format!("{} {} {} {}", void.sides, void.islands, void.percolates, hex(&[void.area, void.perimeter])));
+        lines.push(format!(
+            "{} {} {} {}",
+            void.sides,
+            void.islands,
+            void.percolates,
+            hex(&[void.area, void.perimeter])
+        ));
     }
     lines
 }
@@ -127,8 +133,7 @@ pub fn voids_sp(comm: Comm) -> Outcome {
 pub fn voids_dp(comm: Comm) -> Outcome {
     let mut system = random_dp::<VertexEdge>(comm, 64, unit_box(0.1), 0.5, 0.95);
     let mut outcome = voids(&mut system); // one void with many islands
-    let goal = goal(1e-4, 20_000);
-    compress_to(&mut system, 0.9, &Fire, &goal).unwrap();
+    compress_to(&mut system, &Fire, &goal(1e-3, 50_000), 0.9).unwrap();
     outcome.extend(voids(&mut system));
     outcome
 }
