@@ -125,7 +125,7 @@ pub fn voids_sp(comm: Comm) -> Outcome {
     let mut system = random_sp(comm, 256, unit_box(0.2), 0.6, 0.9);
     let mut outcome = voids(&mut system); // random: deep overlaps, nothing percolates
     system.deform(system.pbox().with_area(system.pbox().area() * 0.6 / 0.88));
-    Fire.minimize(&mut system, &goal(1e-10, 20_000)).unwrap();
+    assert!(Fire.minimize(&mut system, &goal(1e-10, 100_000)).unwrap().is_converged());
     outcome.extend(voids(&mut system));
     outcome
 }
