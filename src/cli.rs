@@ -3,6 +3,7 @@
 //! Every rank parses its own copy of the arguments; rank 0 alone speaks.
 
 use crate::comm::Comm;
+use crate::exchange::Extra;
 use crate::failure::exit;
 use crate::scene::ColorBy;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -74,6 +75,9 @@ pub enum Command {
         /// Which frame of a results file; the last one if not given
         #[arg(long, value_name = "K")]
         frame: Option<usize>,
+        /// What to add, separated by commas
+        #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
+        with: Vec<Extra>,
         /// Where to write; the terminal if not given
         #[arg(short, long, value_name = "OUT")]
         output: Option<PathBuf>,
@@ -186,6 +190,20 @@ pub enum Starter {
 pub enum LogFormat {
     Text,
     Json,
+}
+
+impl ValueEnum for Extra {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Extra::Voids, Extra::Approximations]
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        Some(match self {
+            Extra::Voids => clap::builder::PossibleValue::new("voids").help("Every void, and their statistics"),
+            Extra::Approximations => clap::builder::PossibleValue::new("approximations")
+                .help("Packing fractions of disks by the paper's Eqs. 9, 10 and 12, and their errors"),
+        })
+    }
 }
 
 impl ValueEnum for ColorBy {

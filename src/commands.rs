@@ -41,9 +41,9 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let scene = read_scene(&comm, Some(scene), options)?;
             if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, speaks) }
         }
-        Some(Command::Evaluate { file, frame, output }) => {
+        Some(Command::Evaluate { file, frame, with, output }) => {
             let text = read_configuration(&comm, file, *frame)?;
-            let evaluation = exchange::evaluate(comm, &text, &file.display().to_string())?;
+            let evaluation = exchange::evaluate(comm, &text, &file.display().to_string(), with)?;
             match output {
                 None => print(&session.world(), &evaluation),
                 Some(output) => write(&session.world(), output, &evaluation),

@@ -9,7 +9,7 @@ mod problem;
 mod reader;
 
 pub use configuration::{Cell, Configuration, ContactForm};
-pub use evaluation::{Energy, Evaluation, Stress};
+pub use evaluation::{Energy, Evaluation, Extra, Stress};
 pub use problem::{ExchangeError, Problem};
 
 use crate::comm::Comm;
@@ -22,9 +22,9 @@ use crate::particles::Bodies;
 use serde::Serialize;
 
 /// Evaluates the configuration in `text` as it stands: the text of an [`Evaluation`] on rank 0, an empty one on the
-/// others. `origin` names the file in error messages. Collective.
-pub fn evaluate(comm: Comm, text: &str, origin: &str) -> Result<String, ExchangeError> {
-    with_system(comm, text, origin, Evaluate)
+/// others. `origin` names the file in error messages, `extras` what to add. Collective.
+pub fn evaluate(comm: Comm, text: &str, origin: &str, extras: &[Extra]) -> Result<String, ExchangeError> {
+    with_system(comm, text, origin, Evaluate { extras })
 }
 
 /// Relaxes the configuration in `text`: on rank 0 the text of the relaxed one, in the same format, with an object
@@ -125,15 +125,17 @@ fn refuse_crossings<M: Model>(system: &mut System<M>) -> Result<(), EngineError>
     }
 }
 
-struct Evaluate;
+struct Evaluate<'a> {
+    extras: &'a [Extra],
+}
 
-impl Task for Evaluate {
+impl Task for Evaluate<'_> {
     type Output = String;
 
     const SKIN: f64 = 0.0;
 
     fn run<M: Model>(self, _: Configuration, mut system: System<M>) -> Result<String, EngineError> {
-        let evaluation = Evaluation::of(&mut system)?;
+        let evaluation = Evaluation::of(&mut system, self.extras)?;
         Ok(if system.comm.is_root() { to_text(&evaluation) } else { String::new() })
     }
 }

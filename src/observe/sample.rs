@@ -1,4 +1,4 @@
-use super::{Contacts, Moduli, PackingFraction, Rattlers, Shape, ShapeParameter, Stability};
+use super::{Contacts, Moduli, PackingFraction, Rattlers, Shape, ShapeParameter, Stability, VoidStatistics, Voids};
 use crate::engine::{Energies, EngineError, System};
 use crate::minimize::Report;
 use crate::model::Model;
@@ -16,6 +16,8 @@ pub struct Sample {
     pub n_rattlers: u64,
     /// z = 2 N_c/N′
     pub contact_number: f64,
+    /// Rattlers count as particles.
+    pub voids: VoidStatistics,
     /// Means over all particles; the three are equal for disks.
     pub shape_parameter: ShapeParameter,
     /// Root mean square of a/a₀ − 1 over deformable particles; 1 − Σa/Σa₀ of disks, the part of their areas lost in
@@ -69,8 +71,10 @@ impl Sample {
         let contacts = Contacts::of(system, rattlers)?;
         let shapes: Vec<Shape> = system.outlines()?.iter().map(Shape::of).collect();
         let terms = system.terms()?;
+        let density = PackingFraction::of(system, &shapes)?;
         let sample = Sample {
-            density: PackingFraction::of(&system.comm, &shapes, system.pbox().area()),
+            density,
+            voids: Voids::of(system, &[], Some(density.packing_fraction))?.statistics,
             energies: system.energies()?,
             n_particles: contacts.n_particles,
             n_contacts: contacts.n_contacts,
@@ -115,7 +119,6 @@ impl Sample {
             ("reduced_number_density", self.density.reduced_number_density),
             ("packing_fraction", self.density.packing_fraction),
             ("packing_fraction_double_counted", self.density.double_counted),
-            ("n_not_convex", self.density.n_not_convex as f64),
             ("energy_total", self.energies.total),
             ("energy_line", self.energies.line),
             ("energy_area", self.energies.area),
@@ -128,6 +131,12 @@ impl Sample {
             ("n_contacts", self.n_contacts as f64),
             ("n_rattlers", self.n_rattlers as f64),
             ("contact_number", self.contact_number),
+            ("n_voids", self.voids.n_voids as f64),
+            ("voids_3_sided", self.voids.fractions()[0]),
+            ("voids_4_sided", self.voids.fractions()[1]),
+            ("voids_5_sided", self.voids.fractions()[2]),
+            ("voids_6_sided", self.voids.fractions()[3]),
+            ("void_shape_parameter_3_sided", self.voids.border_shape_parameter),
             ("shape_parameter_polygon", self.shape_parameter.polygon),
             ("shape_parameter_relative", self.shape_parameter.relative),
             ("shape_parameter_shell", self.shape_parameter.shell),

@@ -34,6 +34,8 @@ const RANKS_AND_THREADS: &[Start] = &[
 ];
 /// For cases whose work is mostly steps of a minimiser, which other cases try on every grid.
 const FEW: &[Start] = &[Start::new(1, 1), Start::new(2, 1), Start::new(4, 1), Start::new(2, 2)];
+/// One rank to four.
+const TO_FOUR: &[Start] = &[Start::new(1, 1), Start::new(2, 1), Start::new(3, 1), Start::new(4, 1)];
 const ONE_AND_FOUR: &[Start] = &[Start::new(1, 1), Start::new(4, 1)];
 
 fn main() -> std::process::ExitCode {
@@ -62,6 +64,8 @@ fn main() -> std::process::ExitCode {
         Case::new("shear_sp", shear::sp, RANKS),
         Case::new("shear_dp", shear::dp, FEW),
         Case::new("box_flip", shear::flip, ONE_AND_FOUR),
+        Case::new("voids_sp", invariance::voids_sp, TO_FOUR),
+        Case::new("voids_dp", invariance::voids_dp, TO_FOUR),
         Case::new("hard_cases", hard_cases::all, ONE_AND_FOUR),
         Case::new("area_ratio_80", hard_cases::area_ratio_80, ONE_AND_FOUR),
         Case::new("empty_subdomains", hard_cases::empty_subdomains, RANKS),
