@@ -49,6 +49,7 @@ Examples:
   jamhpc info jamhpc-out/*.h5                   what is in a results file
   jamhpc render FILE.h5 --frame 3 --color-by pressure -o frame3.png
   jamhpc evaluate FILE.json                     energy, forces, stress, contacts of one configuration
+  jamhpc validate                               is this build right? exact checks, less than a minute
 
 Exit codes: 0 done, 2 bad input, 3 a state did not converge, 1 other failures, 70 internal error.";
 
@@ -111,6 +112,12 @@ pub enum Command {
     Info {
         /// A results file of a run
         file: PathBuf,
+    },
+    /// Check the program against exact formulas and print what came out; fails if a check does
+    Validate {
+        /// More and finer checks, for some minutes
+        #[arg(long)]
+        long: bool,
     },
     /// Print a commented scene with every key, to start from
     Init {

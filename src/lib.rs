@@ -20,3 +20,4 @@ pub mod run;
 pub mod scene;
 pub mod stiffness;
 pub mod threads;
+pub mod validate;
