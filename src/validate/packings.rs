@@ -29,7 +29,7 @@ pub fn checks(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>, Pr
     checks.push(agreement("SP, N = 64, phi = 0.95", &mut disks, &goal)?);
 
     let n = match effort {
-        Effort::Quick => 8,
+        Effort::Quick => 12,
         Effort::Long => 16,
     };
     let mut polygons = random_polygons(world(), n)?;
@@ -81,7 +81,7 @@ fn random_polygons(comm: Comm, n: u32) -> Result<System<Deformable<VertexEdge>>,
         [12, 17].map(|n_v: u32| Species { count: n / 2, size: small * (n_v as f64 / 12.0).powi(2), n_vertices: n_v });
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(DELTA)).sum();
     let pbox = PeriodicBox::square((area / 0.7).sqrt());
-    let (comm, polygons) = deformable_particles(comm, pbox, &species, 1, DELTA)?;
+    let (comm, polygons) = deformable_particles(comm, pbox, &species, 2, DELTA)?;
     let k_area = 1000.0 / (small * small);
     let model = Deformable::new(DeformableParameters {
         line_tension: 1.0,
