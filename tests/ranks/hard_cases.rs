@@ -211,7 +211,7 @@ pub fn known_energies(mut comm: Comm) -> Outcome {
     let mut collapsed = square([0.0, 0.0], 0.5);
     collapsed.insert(2, [0.5, 0.5 - 1e-9]);
     // name, outlines, distances of the touches
-    let cases: Vec<(&str, Vec<Vec<Vec2>>, Vec<f64>)> = vec![
+    let cases = [
         // slid, so that one corner of each stands before the facet of the other
         ("parallel facets", vec![square([0.0, 0.0], 0.5), square([1.0 + gap, 0.3], 0.5)], vec![gap; 2]),
         ("face to face", vec![square([0.0, 0.0], 0.5), square([1.0 + gap, 0.0], 0.5)], vec![gap; 4]),
