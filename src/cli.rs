@@ -52,6 +52,7 @@ Examples:
   jamhpc evaluate FILE.json                     energy, forces, stress, contacts of one configuration
   jamhpc analyze FILE.h5 --all -o numbers.csv   every observable of every frame, measured again
   jamhpc check FILE.h5                          is every frame relaxed, uncrossed, and what it says it is?
+  jamhpc validate                               is this build right? exact checks, less than a minute
 
 Exit codes: 0 done, 2 bad input, 3 a state did not converge, 1 other failures, 70 internal error.";
 
@@ -142,6 +143,12 @@ pub enum Command {
     Info {
         /// A results file of a run
         file: PathBuf,
+    },
+    /// Check the program against exact formulas and print what came out; fails if a check does
+    Validate {
+        /// More and finer checks, for some minutes
+        #[arg(long)]
+        long: bool,
     },
     /// Print a commented scene with every key, to start from
     Init {

@@ -11,6 +11,7 @@ use crate::output::folder::write_whole;
 use crate::output::info;
 use crate::run;
 use crate::scene::{self, Scene};
+use crate::validate::{self, Effort};
 use std::path::Path;
 
 /// Does what the flags say and returns the exit code, the same on all ranks.
@@ -85,6 +86,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let text = comm.from_root(|| Ok::<_, Failure>(info(file)?.into_bytes()))?;
             print(&comm, &String::from_utf8_lossy(&text))
         }
+        Some(Command::Validate { long }) => check(session, if *long { Effort::Long } else { Effort::Quick }),
         Some(Command::Init { model, output }) => {
             let text = match model {
                 Starter::Sp => scene::SP_STARTER,
@@ -96,6 +98,21 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             }
         }
     }
+}
+
+/// Runs the exact checks, one line each as it comes; those that fail are named at the end.
+fn check(session: &Session, effort: Effort) -> Result<(), Failure> {
+    let comm = session.world();
+    print(&comm, &validate::header())?;
+    let checks = validate::run(&|| session.world(), effort, |check| {
+        // nothing can be done about a reader that has gone away
+        let _ = print(&comm, &validate::line(check));
+    })?;
+    let failed: Vec<&str> = checks.iter().filter(|check| !check.passes()).map(|check| check.name.as_str()).collect();
+    if failed.is_empty() {
+        return print(&comm, &format!("all {} checks pass\n", checks.len()));
+    }
+    Err(Failure::Other(format!("{} of {} checks fail: {}", failed.len(), checks.len(), failed.join("; "))))
 }
 
 /// What a minimisation came to; one that did not converge is a failure, though its state has been written.

@@ -21,3 +21,4 @@ pub mod run;
 pub mod scene;
 pub mod stiffness;
 pub mod threads;
+pub mod validate;

@@ -19,6 +19,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("minimize", &["geometry", "particles", "threads", "model", "comm", "engine", "stiffness"]),
     ("protocol", &["geometry", "particles", "model", "comm", "engine", "minimize"]),
     ("observe", &["geometry", "particles", "threads", "neighbor", "model", "comm", "engine", "stiffness", "minimize"]),
+    ("validate", &["geometry", "particles", "model", "comm", "engine", "minimize", "protocol", "observe"]),
     ("study", &["geometry", "model", "comm", "engine", "minimize", "protocol", "observe"]),
     ("output", &["geometry", "particles", "comm", "observe"]),
     ("exchange", &["geometry", "particles", "model", "comm", "engine", "minimize", "observe"]),
