@@ -35,6 +35,8 @@ pub struct Counters {
     pub forces: u64,
     /// Neighbour list builds.
     pub rebuilds: u64,
+    /// How often the pairs that can touch were picked from the lists.
+    pub narrowings: u64,
     /// Particles handed to another rank.
     pub migrated: u64,
 }
@@ -66,6 +68,10 @@ impl Energies {
     }
 }
 
+/// Steps like the last one for which pairs that can touch are picked from the lists: picking costs about two force
+/// evaluations, and pairs picked in vain make each of the others dearer.
+const STEPS_FORESEEN: f64 = 16.0;
+
 /// Particles, their box and potential, and the lists that make forces cheap.
 pub struct System<M: Model> {
     pub comm: Comm,
@@ -90,6 +96,10 @@ pub struct System<M: Model> {
     /// No own or foreign point has travelled farther than this since the build; the same on all ranks. Infinite when
     /// not known.
     travel_bound: f64,
+    /// No point has moved farther than this since the lists were narrowed, and for how much they were; the last step.
+    since_narrowed: f64,
+    narrowed_for: f64,
+    last_move: f64,
     /// The lists were never built, or do not describe these particles.
     stale: bool,
     /// Foreign positions may be old.
@@ -140,6 +150,9 @@ impl<M: Model> System<M> {
             built_box: pbox,
             built_position: Vec::new(),
             travel_bound: f64::INFINITY,
+            since_narrowed: f64::INFINITY,
+            narrowed_for: 0.0,
+            last_move: 0.0,
             stale: true,
             halo_is_old: true,
             particles,
@@ -198,6 +211,7 @@ impl<M: Model> System<M> {
         self.pbox = to;
         // what was travelled in the old box is another length in this one
         self.travel_bound = f64::INFINITY;
+        self.since_narrowed = f64::INFINITY;
     }
 
     /// Changes the box, takes particle centres along affinely and moves each particle as a rigid whole.
@@ -214,6 +228,7 @@ impl<M: Model> System<M> {
         }
         self.pbox = to;
         self.travel_bound = f64::INFINITY;
+        self.since_narrowed = f64::INFINITY;
         self.halo_is_old = true;
     }
 
@@ -252,6 +267,8 @@ impl<M: Model> System<M> {
             &|(), ()| (),
         );
         self.travel_bound += bound;
+        self.since_narrowed += bound;
+        self.last_move = bound;
         self.halo_is_old = true;
     }
 
@@ -263,13 +280,13 @@ impl<M: Model> System<M> {
         merge: impl Fn(R, R) -> R + Sync,
     ) -> Result<Option<R>, EngineError> {
         self.prepare()?;
+        self.narrow();
         self.counters.forces += 1;
         let view = View { pbox: &self.pbox, particles: &self.particles, lists: &self.list };
         let model = &self.model;
         if M::BODIES {
             let work = |chunk: &Chunk, forces: &mut [Vec2], lightened: &mut [Vec2]| {
-                model.forces(&view, chunk.particles.clone(), forces);
-                model.lighten(&view, chunk.particles.clone(), forces, lightened);
+                model.forces_and_lightened(&view, chunk.particles.clone(), forces, lightened);
                 reduce(chunk, view.particles, forces, lightened)
             };
             return Ok(threads::fold(&self.chunks, &mut self.forces, &mut self.lightened, &work, &merge));
@@ -300,6 +317,16 @@ impl<M: Model> System<M> {
         }
         self.halo_is_old = false;
         Ok(())
+    }
+
+    /// Picks from the lists what can touch during the next steps, if points have moved farther than was foreseen.
+    fn narrow(&mut self) {
+        if self.since_narrowed > self.narrowed_for {
+            self.narrowed_for = (STEPS_FORESEEN * self.last_move).clamp(0.01 * self.skin, 0.5 * self.skin);
+            self.model.narrow(&self.pbox, &self.particles, &mut self.list, self.narrowed_for);
+            self.since_narrowed = 0.0;
+            self.counters.narrowings += 1;
+        }
     }
 
     /// What forces are computed from; call [`System::prepare`] first.
@@ -367,6 +394,7 @@ impl<M: Model> System<M> {
         self.built_position.clear();
         self.built_position.extend_from_slice(&self.particles.position[..owned_points]);
         self.travel_bound = 0.0;
+        self.since_narrowed = f64::INFINITY;
         self.stale = false;
         Ok(())
     }
