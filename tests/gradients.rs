@@ -190,7 +190,7 @@ fn forces_are_the_sums_over_all_touches() {
     let dilute = PeriodicBox::new(10.0, 10.0, 2.0);
     let (comm, polygons) = deformable_particles(Comm::alone(), dilute, &species, 1, 0.1).unwrap();
     let model = Deformable::<VertexEdge>::new(parameters(1.0, 300.0, 50.0, 0.2));
-    let dense = PeriodicBox::new(9.1, 9.1, 1.0);
+    let dense = PeriodicBox::new(9.7, 9.7, 1.5);
     let mut system = System::new(comm, model, dilute, &dense, polygons, 0.1).unwrap();
     system.deform_rigidly(dense);
     system.carry(1);
@@ -208,18 +208,17 @@ fn forces_are_the_sums_over_all_touches() {
         }
         for (made, right) in [(system.forces(), &right), (system.lightened_forces(), &lightened)] {
             for (point, (f, g)) in made.iter().zip(right).enumerate() {
-                // vertices lie as close as 1e-3 to edges: a direction is known to 1e-16 over that
-                assert!(norm(sub(*f, *g)) < 1e-12 * scale, "step {step}, point {point}: {f:?} and {g:?}");
+                assert!(norm(sub(*f, *g)) < 1e-14 * scale, "step {step}, point {point}: {f:?} and {g:?}");
             }
         }
         // steps of changing length, so that pairs are picked anew now and then
-        let by = 1e-3 * (1 + step % 3) as f64;
+        let by = 4e-4 * (1 + step % 3) as f64;
         system.move_points(1.5 * by, |pbox, positions, _, _| {
             for (k, point) in positions.iter_mut().enumerate() {
                 *point = pbox.moved(*point, [by * noise(100 * step + 2 * k), by * noise(100 * step + 2 * k + 1)]);
             }
         });
     }
-    let jamhpc::engine::Counters { rebuilds, narrowings, .. } = system.counters;
-    assert!(rebuilds > 1 && narrowings > rebuilds + 2 && narrowings < 40, "{rebuilds} {narrowings}");
+    let narrowings = system.counters.narrowings;
+    assert!(narrowings > 2 && narrowings < 25, "{narrowings}");
 }
