@@ -356,6 +356,8 @@ impl<M: Model> System<M> {
     /// Hands particles to the owners of their centres, then collects the foreign points that the new lists name.
     fn rebuild(&mut self) -> Result<(), EngineError> {
         self.counters.rebuilds += 1;
+        // its memory is wanted for the new one
+        self.list = M::List::default();
         self.particles.forget_foreign();
         let centers = self.migrate();
         let centers = self.sort_in_space(centers);

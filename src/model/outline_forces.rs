@@ -10,41 +10,50 @@ use super::deformable::{Deformable, DeformableParameters};
 use super::vertex_edge::VertexEdge;
 use super::{Harmonic, Model, View, rigid};
 use crate::geometry::{Vec2, cross};
+use crate::lanes::{Kernel, Lanes};
 use crate::neighbor::{OutlineFrame, Touching, VertexEdgeList};
 use std::ops::Range;
 
 /// All forces on a chunk of own particles, written to `forces`, and what they accelerate, to `lightened`.
-pub(super) fn forces_and_lightened(
-    model: &Deformable<VertexEdge>,
-    view: &View<VertexEdgeList>,
-    particles: Range<usize>,
-    forces: &mut [Vec2],
-    lightened: &mut [Vec2],
-) {
-    let bodies = &view.particles.bodies;
-    let origin = bodies.points(particles.start).start;
-    let narrowed = view.lists.narrowed(particles.start);
-    let (mut frame, mut sums) = (OutlineFrame::default(), Vec::new());
-    for p in particles {
-        let points = bodies.points(p);
-        let mine = points.start - origin..points.end - origin;
-        let (forces, lightened) = (&mut forces[mine.clone()], &mut lightened[mine]);
-        let Some(touching) = narrowed.and_then(|chunk| chunk.of(p)) else {
-            model.forces(view, p..p + 1, forces);
-            model.lighten(view, p..p + 1, forces, lightened);
-            continue;
-        };
-        frame.fill(view.pbox, view.particles, p, touching.points);
-        shape(&model.parameters, view.particles.size[p], &frame, points.len(), &mut sums);
-        contacts(model.parameters.contact, &frame, &touching, &mut sums);
-        // the last slot repeats the first vertex
-        let again = sums[points.len() + 1];
-        sums[1] = [sums[1][0] + again[0], sums[1][1] + again[1]];
-        forces.copy_from_slice(&sums[1..=points.len()]);
-        for ((slot, &x), &y) in lightened.iter_mut().zip(&frame.x[1..]).zip(&frame.y[1..]) {
-            *slot = [x, y];
+pub(super) struct OutlineForces<'a> {
+    pub model: &'a Deformable<VertexEdge>,
+    pub view: &'a View<'a, VertexEdgeList>,
+    pub particles: Range<usize>,
+    pub forces: &'a mut [Vec2],
+    pub lightened: &'a mut [Vec2],
+}
+
+impl Kernel for OutlineForces<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, _: impl Lanes) {
+        let OutlineForces { model, view, particles, forces, lightened } = self;
+        let bodies = &view.particles.bodies;
+        let origin = bodies.points(particles.start).start;
+        let narrowed = view.lists.narrowed(particles.start);
+        let (mut frame, mut sums) = (OutlineFrame::default(), Vec::new());
+        for p in particles {
+            let points = bodies.points(p);
+            let mine = points.start - origin..points.end - origin;
+            let (forces, lightened) = (&mut forces[mine.clone()], &mut lightened[mine]);
+            let Some(touching) = narrowed.and_then(|chunk| chunk.of(p)) else {
+                model.forces(view, p..p + 1, forces);
+                model.lighten(view, p..p + 1, forces, lightened);
+                continue;
+            };
+            frame.fill(view.pbox, view.particles, p, touching.points);
+            shape(&model.parameters, view.particles.size[p], &frame, points.len(), &mut sums);
+            contacts(model.parameters.contact, &frame, &touching, &mut sums);
+            // the last slot repeats the first vertex
+            let again = sums[points.len() + 1];
+            sums[1] = [sums[1][0] + again[0], sums[1][1] + again[1]];
+            forces.copy_from_slice(&sums[1..=points.len()]);
+            for ((slot, &x), &y) in lightened.iter_mut().zip(&frame.x[1..]).zip(&frame.y[1..]) {
+                *slot = [x, y];
+            }
+            rigid::lighten(forces, lightened);
         }
-        rigid::lighten(forces, lightened);
     }
 }
 
@@ -76,7 +85,7 @@ fn shape(parameters: &DeformableParameters, rest_area: f64, frame: &OutlineFrame
 /// Adds the contact forces on the own slots of a frame.
 #[inline(always)]
 fn contacts(law: Harmonic, frame: &OutlineFrame, touching: &Touching, sums: &mut [Vec2]) {
-    let n = frame.len();
+    let n = frame.slots();
     let local = Local {
         x: &frame.x[..n],
         y: &frame.y[..n],

@@ -1,6 +1,8 @@
 use super::deformable::{Contact, Deformable, Touch, touch};
-use super::{Harmonic, View, outline_forces};
+use super::outline_forces::OutlineForces;
+use super::{Harmonic, View};
 use crate::geometry::{PeriodicBox, Vec2, dot, scale, sub};
+use crate::lanes;
 use crate::neighbor::{Candidates, VertexEdgeList};
 use crate::particles::Particles;
 use std::ops::Range;
@@ -89,6 +91,6 @@ impl Contact for VertexEdge {
         forces: &mut [Vec2],
         lightened: &mut [Vec2],
     ) {
-        outline_forces::forces_and_lightened(model, view, particles, forces, lightened);
+        lanes::run(OutlineForces { model, view, particles, forces, lightened });
     }
 }

@@ -54,7 +54,7 @@ impl NearTouches {
             let near = near(k);
             frame.fill(pbox, particles, p, near.points);
             let vertices = particles.bodies.points(p).len();
-            if far || frame.len() > u16::MAX as usize || !is_in_one_image(&frame, vertices, &near) {
+            if far || frame.slots() > u16::MAX as usize || !is_in_one_image(&frame, vertices, &near) {
                 made.wide.push(k as u32);
             } else {
                 made.add(&frame, vertices, &near, reach + 2.0 * travel, 2.0 * travel, &mut place);
@@ -76,7 +76,7 @@ impl NearTouches {
         let first_other = OutlineFrame::first_other(vertices);
         let from = [self.faces.len(), self.corners.len(), self.opposite_faces.len(), self.opposite_corners.len()];
         place.clear();
-        place.resize(frame.len(), 0);
+        place.resize(frame.slots(), 0);
         for &[i, e] in near.edges {
             let (vertex, edge) = (i as usize + 1, e as usize + first_other);
             let pair = Pair { frame, vertex, edge, approach };
@@ -158,7 +158,7 @@ fn is_in_one_image(frame: &OutlineFrame, vertices: usize, near: &Near) -> bool {
         frame.are_in_one_image(own, other) && frame.are_in_one_image(own + 1, other)
     };
     (0..=vertices).all(consecutive)
-        && (0..frame.len()).all(from_origin)
+        && (0..frame.slots()).all(from_origin)
         && near.edges.iter().all(|&[i, e]| pair([i, e]) && pair([i, e + 1]))
         && near.vertices.iter().all(|&p| pair(p))
 }

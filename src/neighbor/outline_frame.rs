@@ -26,8 +26,7 @@ impl OutlineFrame {
         vertices + 2
     }
 
-    /// Number of slots.
-    pub fn len(&self) -> usize {
+    pub fn slots(&self) -> usize {
         self.raw.len()
     }
 
