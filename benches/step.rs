@@ -1,5 +1,6 @@
-//! Cost of one FIRE step, lists and reductions included, and memory per particle: soft disks at φ = 0.86 and
-//! deformable particles at ρ = 0.90, on 1 and 2 ranks (one thread each).
+//! Cost of one FIRE step, lists and reductions included, and memory per particle: soft disks at φ = 0.86 on 1 and 2
+//! ranks, and deformable particles relaxed at ρ = 0.90, 64, 1024 and DP_N of them, the last also on 2 ranks (one thread
+//! each).
 //!
 //! `cargo bench --bench step` prints the table; `cargo bench --bench step -- SP_N DP_N` takes other sizes.
 

@@ -42,7 +42,7 @@ mod tests {
         let corners = [[7.5, 7.6], [8.6, 7.7], [8.7, 8.4], [7.9, 8.9], [7.4, 8.2]];
         let middle = scale(0.2, corners.iter().fold([0.0; 2], |a, &b| add(a, b)));
         let lightened = |forces: [Vec2; 5]| {
-            let mut result = corners;
+            let mut result = corners.map(|c| sub(c, corners[0]));
             lighten(&forces, &mut result);
             result
         };
