@@ -322,7 +322,7 @@ impl<M: Model> System<M> {
     /// Picks from the lists what can touch during the next steps, if points have moved farther than was foreseen.
     fn narrow(&mut self) {
         if self.since_narrowed > self.narrowed_for {
-            self.narrowed_for = (STEPS_FORESEEN * self.last_move).clamp(0.01 * self.skin, 0.5 * self.skin);
+            self.narrowed_for = (STEPS_FORESEEN * self.last_move).max(0.01 * self.skin).min(0.5 * self.skin);
             self.model.narrow(&self.pbox, &self.particles, &mut self.list, self.narrowed_for);
             self.since_narrowed = 0.0;
             self.counters.narrowings += 1;
