@@ -37,6 +37,8 @@ pub struct Counters {
     pub forces: u64,
     /// Neighbour list builds.
     pub rebuilds: u64,
+    /// How often the pairs that can touch were picked from the lists.
+    pub narrowings: u64,
     /// Particles handed to another rank.
     pub migrated: u64,
 }
@@ -68,6 +70,10 @@ impl Energies {
     }
 }
 
+/// Steps like the last one for which pairs that can touch are picked from the lists: picking costs about two force
+/// evaluations, and pairs picked in vain make each of the others dearer.
+const STEPS_FORESEEN: f64 = 16.0;
+
 /// Particles, their box and potential, and the lists that make forces cheap.
 pub struct System<M: Model> {
     pub comm: Comm,
@@ -92,6 +98,10 @@ pub struct System<M: Model> {
     /// No own or foreign point has travelled farther than this since the build; the same on all ranks. Infinite when
     /// not known.
     travel_bound: f64,
+    /// No point has moved farther than this since the lists were narrowed, and for how much they were; the last step.
+    since_narrowed: f64,
+    narrowed_for: f64,
+    last_move: f64,
     /// The lists were never built, or do not describe these particles.
     stale: bool,
     /// Foreign positions may be old.
@@ -142,6 +152,9 @@ impl<M: Model> System<M> {
             built_box: pbox,
             built_position: Vec::new(),
             travel_bound: f64::INFINITY,
+            since_narrowed: f64::INFINITY,
+            narrowed_for: 0.0,
+            last_move: 0.0,
             stale: true,
             halo_is_old: true,
             particles,
@@ -200,6 +213,7 @@ impl<M: Model> System<M> {
         self.pbox = to;
         // what was travelled in the old box is another length in this one
         self.travel_bound = f64::INFINITY;
+        self.since_narrowed = f64::INFINITY;
     }
 
     /// Shears the box (x displaced by `strain` × y) and takes every point along affinely; a box tilted by more than
@@ -231,6 +245,7 @@ impl<M: Model> System<M> {
         }
         self.pbox = to;
         self.travel_bound = f64::INFINITY;
+        self.since_narrowed = f64::INFINITY;
         self.halo_is_old = true;
     }
 
@@ -269,6 +284,8 @@ impl<M: Model> System<M> {
             &|(), ()| (),
         );
         self.travel_bound += bound;
+        self.since_narrowed += bound;
+        self.last_move = bound;
         self.halo_is_old = true;
     }
 
@@ -280,13 +297,13 @@ impl<M: Model> System<M> {
         merge: impl Fn(R, R) -> R + Sync,
     ) -> Result<Option<R>, EngineError> {
         self.prepare()?;
+        self.narrow();
         self.counters.forces += 1;
         let view = View { pbox: &self.pbox, particles: &self.particles, lists: &self.list };
         let model = &self.model;
         if M::BODIES {
             let work = |chunk: &Chunk, forces: &mut [Vec2], lightened: &mut [Vec2]| {
-                model.forces(&view, chunk.particles.clone(), forces);
-                model.lighten(&view, chunk.particles.clone(), forces, lightened);
+                model.forces_and_lightened(&view, chunk.particles.clone(), forces, lightened);
                 reduce(chunk, view.particles, forces, lightened)
             };
             return Ok(threads::fold(&self.chunks, &mut self.forces, &mut self.lightened, &work, &merge));
@@ -319,6 +336,16 @@ impl<M: Model> System<M> {
         Ok(())
     }
 
+    /// Picks from the lists what can touch during the next steps, if points have moved farther than was foreseen.
+    fn narrow(&mut self) {
+        if self.since_narrowed > self.narrowed_for {
+            self.narrowed_for = (STEPS_FORESEEN * self.last_move).max(0.01 * self.skin).min(0.5 * self.skin);
+            self.model.narrow(&self.pbox, &self.particles, &mut self.list, self.narrowed_for);
+            self.since_narrowed = 0.0;
+            self.counters.narrowings += 1;
+        }
+    }
+
     /// What forces are computed from; call [`System::prepare`] first.
     pub fn view(&self) -> View<'_, M::List> {
         View { pbox: &self.pbox, particles: &self.particles, lists: &self.list }
@@ -346,6 +373,8 @@ impl<M: Model> System<M> {
     /// Hands particles to the owners of their centres, then collects the foreign points that the new lists name.
     fn rebuild(&mut self) -> Result<(), EngineError> {
         self.counters.rebuilds += 1;
+        // its memory is wanted for the new one
+        self.list = M::List::default();
         self.particles.forget_foreign();
         let centers = self.migrate();
         let centers = self.sort_in_space(centers);
@@ -384,6 +413,7 @@ impl<M: Model> System<M> {
         self.built_position.clear();
         self.built_position.extend_from_slice(&self.particles.position[..owned_points]);
         self.travel_bound = 0.0;
+        self.since_narrowed = f64::INFINITY;
         self.stale = false;
         Ok(())
     }

@@ -10,6 +10,7 @@ pub mod exchange;
 pub mod failure;
 pub mod frames;
 pub mod geometry;
+mod lanes;
 pub mod minimize;
 pub mod model;
 pub mod neighbor;

@@ -65,6 +65,9 @@ pub fn fold<A: Send, B: Send, R: Send>(
 /// What `work` gives for every chunk, in order.
 pub fn map<R: Send>(chunks: &[Chunk], work: impl Fn(&Chunk) -> R + Sync + Send) -> Vec<R> {
     use rayon::prelude::*;
+    if rayon::current_num_threads() == 1 {
+        return chunks.iter().map(work).collect();
+    }
     chunks.par_iter().map(work).collect()
 }
 

@@ -93,8 +93,13 @@ impl PeriodicBox {
     /// Nearest-image vector a − b.
     #[inline(always)]
     pub fn displacement(&self, a: Frac, b: Frac) -> Vec2 {
-        let d = a.minus(b);
-        let (x, y) = (d[0] as f64, d[1] as f64);
+        self.vector(a.minus(b))
+    }
+
+    /// A raw fixed-point difference as a Cartesian vector.
+    #[inline(always)]
+    pub fn vector(&self, raw: [i64; 2]) -> Vec2 {
+        let (x, y) = (raw[0] as f64, raw[1] as f64);
         [x * self.unit[0] + y * self.unit[1], y * self.unit[2]]
     }
 

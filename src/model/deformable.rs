@@ -1,8 +1,8 @@
 use super::stiffness::{Block, Elastic, TouchStiffness, add_elastic, along_and_across, scaled, strained, times};
 use super::{Harmonic, Model, Outline, Terms, View, add_outer, rigid};
-use crate::geometry::{Polygon, Vec2, add, cross, dot, norm, scale, sub};
+use crate::geometry::{PeriodicBox, Polygon, Vec2, add, cross, dot, norm, scale, sub};
 use crate::neighbor::{Candidates, PointList};
-use crate::particles::Bodies;
+use crate::particles::{Bodies, Particles};
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -28,6 +28,23 @@ pub trait Contact: Send + Sync {
 
     /// Visits every touch between own particle `particle` and another, from this particle's side.
     fn for_each_touch(law: Harmonic, view: &View<Self::List>, particle: usize, visit: impl FnMut(Touch));
+
+    /// Readies the lists for [`Contact::forces_and_lightened`], see [`Model::narrow`].
+    fn narrow(_law: Harmonic, _pbox: &PeriodicBox, _particles: &Particles, _list: &mut Self::List, _travel: f64) {}
+
+    /// All forces on a chunk of own particles, and what they accelerate.
+    fn forces_and_lightened(
+        model: &Deformable<Self>,
+        view: &View<Self::List>,
+        particles: Range<usize>,
+        forces: &mut [Vec2],
+        lightened: &mut [Vec2],
+    ) where
+        Self: Sized,
+    {
+        model.forces(view, particles.clone(), forces);
+        model.lighten(view, particles, forces, lightened);
+    }
 }
 
 /// One contribution of a contact as felt by one of the two particles.
@@ -143,8 +160,25 @@ impl<C: Contact> Model for Deformable<C> {
             let range = view.particles.bodies.points(p);
             let mine = range.start - origin..range.end - origin;
             let points = &view.particles.position[range];
-            rigid::lighten(view.pbox, points, &forces[mine.clone()], &mut lightened[mine]);
+            for (arm, &point) in lightened[mine.clone()].iter_mut().zip(points) {
+                *arm = view.pbox.displacement(point, points[0]);
+            }
+            rigid::lighten(&forces[mine.clone()], &mut lightened[mine]);
         }
+    }
+
+    fn forces_and_lightened(
+        &self,
+        view: &View<C::List>,
+        particles: Range<usize>,
+        forces: &mut [Vec2],
+        lightened: &mut [Vec2],
+    ) {
+        C::forces_and_lightened(self, view, particles, forces, lightened);
+    }
+
+    fn narrow(&self, pbox: &PeriodicBox, particles: &Particles, list: &mut C::List, travel: f64) {
+        C::narrow(self.parameters.contact, pbox, particles, list, travel);
     }
 
     fn terms(&self, view: &View<C::List>, p: usize) -> Terms {

@@ -2,6 +2,7 @@
 
 mod deformable;
 mod edge_edge;
+mod outline_forces;
 mod rigid;
 mod soft_disks;
 mod stiffness;
@@ -102,6 +103,22 @@ pub trait Model: Send + Sync {
     /// Writes what the forces on a run of own particles accelerate when rigid translations and rotations of a particle
     /// are lighter than motions of its single points: a symmetric positive map of the forces, the identity for disks.
     fn lighten(&self, view: &View<Self::List>, particles: Range<usize>, forces: &[Vec2], lightened: &mut [Vec2]);
+
+    /// [`Model::forces`] and [`Model::lighten`] of a run of own particles that is a chunk of the lists.
+    fn forces_and_lightened(
+        &self,
+        view: &View<Self::List>,
+        particles: Range<usize>,
+        forces: &mut [Vec2],
+        lightened: &mut [Vec2],
+    ) {
+        self.forces(view, particles.clone(), forces);
+        self.lighten(view, particles, forces, lightened);
+    }
+
+    /// Readies the lists for forces at the present positions and at all that can be reached while no point moves
+    /// farther than `travel` and the box stays as it is. What forces come out does not depend on it, only how fast.
+    fn narrow(&self, _pbox: &PeriodicBox, _particles: &Particles, _list: &mut Self::List, _travel: f64) {}
 
     /// Energy and stress of one own particle.
     fn terms(&self, view: &View<Self::List>, particle: usize) -> Terms;
