@@ -3,6 +3,7 @@
 //! Every rank parses its own copy of the arguments; rank 0 alone speaks.
 
 use crate::comm::Comm;
+use crate::exchange::Extra;
 use crate::failure::exit;
 use crate::scene::ColorBy;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -49,6 +50,9 @@ Examples:
   jamhpc info jamhpc-out/*.h5                   what is in a results file
   jamhpc render FILE.h5 --frame 3 --color-by pressure -o frame3.png
   jamhpc evaluate FILE.json                     energy, forces, stress, contacts of one configuration
+  jamhpc analyze FILE.h5 --all -o numbers.csv   every observable of every frame, measured again
+  jamhpc check FILE.h5                          is every frame relaxed, uncrossed, and what it says it is?
+  jamhpc validate                               is this build right? exact checks, less than a minute
 
 Exit codes: 0 done, 2 bad input, 3 a state did not converge, 1 other failures, 70 internal error.";
 
@@ -72,6 +76,9 @@ pub enum Command {
         /// Which frame of a results file; the last one if not given
         #[arg(long, value_name = "K")]
         frame: Option<usize>,
+        /// What to add, separated by commas
+        #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
+        with: Vec<Extra>,
         /// Where to write; the terminal if not given
         #[arg(short, long, value_name = "OUT")]
         output: Option<PathBuf>,
@@ -93,6 +100,31 @@ pub enum Command {
         #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = clap::value_parser!(u64).range(1..))]
         max_iterations: u64,
     },
+    /// Measure a stored state again: every observable by name
+    Analyze {
+        /// A results file of a run, or a configuration in JSON
+        file: PathBuf,
+        /// Which frame; the last one if not given
+        #[arg(long, value_name = "K")]
+        frame: Option<usize>,
+        /// All frames, as a table (CSV)
+        #[arg(long, conflicts_with = "frame")]
+        all: bool,
+        /// Where to write; the terminal if not given
+        #[arg(short, long, value_name = "OUT")]
+        output: Option<PathBuf>,
+    },
+    /// Is a stored state valid? Force balance, stresses, crossings, contacts, and that its numbers are its own
+    Check {
+        /// A results file of a run, or a configuration in JSON
+        file: PathBuf,
+        /// Which frame; all of them if not given
+        #[arg(long, value_name = "K")]
+        frame: Option<usize>,
+        /// Largest force of a relaxed state; that of the scene if not given, 1e-8 for a configuration
+        #[arg(long, value_name = "F", value_parser = positive)]
+        force_tolerance: Option<f64>,
+    },
     /// Draw one frame of a results file
     Render {
         /// A results file of a run
@@ -111,6 +143,12 @@ pub enum Command {
     Info {
         /// A results file of a run
         file: PathBuf,
+    },
+    /// Check the program against exact formulas and print what came out; fails if a check does
+    Validate {
+        /// More and finer checks, for some minutes
+        #[arg(long)]
+        long: bool,
     },
     /// Print a commented scene with every key, to start from
     Init {
@@ -159,6 +197,20 @@ pub enum Starter {
 pub enum LogFormat {
     Text,
     Json,
+}
+
+impl ValueEnum for Extra {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Extra::Voids, Extra::Approximations]
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        Some(match self {
+            Extra::Voids => clap::builder::PossibleValue::new("voids").help("Every void, and their statistics"),
+            Extra::Approximations => clap::builder::PossibleValue::new("approximations")
+                .help("Packing fractions of disks by the paper's Eqs. 9, 10 and 12, and their errors"),
+        })
+    }
 }
 
 impl ValueEnum for ColorBy {

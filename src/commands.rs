@@ -1,5 +1,6 @@
 //! What each command does. Whatever a command cannot do ends as one line on the standard error and an exit code.
 
+use crate::analysis;
 use crate::cli::{Cli, Command, LogFormat, RunOptions, Settings, Starter};
 use crate::comm::{Comm, Session};
 use crate::exchange;
@@ -10,6 +11,7 @@ use crate::output::folder::write_whole;
 use crate::output::info;
 use crate::run;
 use crate::scene::{self, Scene};
+use crate::validate::{self, Effort};
 use std::path::Path;
 
 /// Does what the flags say and returns the exit code, the same on all ranks.
@@ -40,9 +42,9 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let scene = read_scene(&comm, Some(scene), options)?;
             if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, speaks) }
         }
-        Some(Command::Evaluate { file, frame, output }) => {
+        Some(Command::Evaluate { file, frame, with, output }) => {
             let text = read_configuration(&comm, file, *frame)?;
-            let evaluation = exchange::evaluate(comm, &text, &file.display().to_string())?;
+            let evaluation = exchange::evaluate(comm, &text, &file.display().to_string(), with)?;
             match output {
                 None => print(&session.world(), &evaluation),
                 Some(output) => write(&session.world(), output, &evaluation),
@@ -55,6 +57,24 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             write(&session.world(), output, &relaxed)?;
             report(outcome, &goal, output)
         }
+        Some(Command::Analyze { file, frame, all, output }) => {
+            let text = text_of_configuration(&comm, file)?;
+            if text.is_some() && (*all || frame.is_some()) {
+                let file = file.display();
+                return Err(Failure::Input(format!(
+                    "{file} is no results file and has no frames: leave --frame and --all out"
+                )));
+            }
+            let analysis = analysis::analyze(session, file, text.as_deref(), *frame, *all)?;
+            match output {
+                None => print(&comm, &analysis),
+                Some(output) => write(&comm, output, &analysis),
+            }
+        }
+        Some(Command::Check { file, frame, force_tolerance }) => {
+            let text = text_of_configuration(&comm, file)?;
+            print(&comm, &analysis::check(session, file, text.as_deref(), *frame, *force_tolerance)?)
+        }
         Some(Command::Render { file, frame, color_by, output }) => {
             let ending = output.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
             if !["svg", "png"].contains(&ending.as_str()) {
@@ -66,6 +86,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let text = comm.from_root(|| Ok::<_, Failure>(info(file)?.into_bytes()))?;
             print(&comm, &String::from_utf8_lossy(&text))
         }
+        Some(Command::Validate { long }) => check(session, if *long { Effort::Long } else { Effort::Quick }),
         Some(Command::Init { model, output }) => {
             let text = match model {
                 Starter::Sp => scene::SP_STARTER,
@@ -77,6 +98,21 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             }
         }
     }
+}
+
+/// Runs the exact checks, one line each as it comes; those that fail are named at the end.
+fn check(session: &Session, effort: Effort) -> Result<(), Failure> {
+    let comm = session.world();
+    print(&comm, &validate::header())?;
+    let checks = validate::run(&|| session.world(), effort, |check| {
+        // nothing can be done about a reader that has gone away
+        let _ = print(&comm, &validate::line(check));
+    })?;
+    let failed: Vec<&str> = checks.iter().filter(|check| !check.passes()).map(|check| check.name.as_str()).collect();
+    if failed.is_empty() {
+        return print(&comm, &format!("all {} checks pass\n", checks.len()));
+    }
+    Err(Failure::Other(format!("{} of {} checks fail: {}", failed.len(), checks.len(), failed.join("; "))))
 }
 
 /// What a minimisation came to; one that did not converge is a failure, though its state has been written.
@@ -132,15 +168,20 @@ fn read_scene(comm: &Comm, file: Option<&Path>, options: &RunOptions) -> Result<
     Ok(scene)
 }
 
+/// The text of a file that is no results file; none of one that is.
+fn text_of_configuration(comm: &Comm, file: &Path) -> Result<Option<String>, Failure> {
+    let is_results = comm.from_root(|| Ok::<_, Failure>(vec![is_hdf5(file) as u8]))? == [1];
+    if is_results { Ok(None) } else { read_text(comm, file).map(Some) }
+}
+
 /// A configuration in the exchange format, from such a file or from a frame of a results file.
 fn read_configuration(comm: &Comm, file: &Path, frame: Frame) -> Result<String, Failure> {
-    let is_results = comm.from_root(|| Ok::<_, Failure>(vec![is_hdf5(file) as u8]))? == [1];
-    if !is_results {
+    if let Some(text) = text_of_configuration(comm, file)? {
         if frame.is_some() {
             let file = file.display();
             return Err(Failure::Input(format!("--frame is for results files, and {file} is none: leave it out")));
         }
-        return read_text(comm, file);
+        return Ok(text);
     }
     let bytes = comm.from_root(|| {
         let configuration = frames::configuration(file, frame)?;

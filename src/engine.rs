@@ -27,6 +27,8 @@ pub enum EngineError {
     Runaway { particle: u32 },
     #[error("the outlines of particles {0} and {1} cross: crossed outlines never untangle, so the state is not valid")]
     Crossing(u32, u32),
+    #[error("the voids found fill {found:.15} of the box, but particles leave {left:.15}: please report this state")]
+    Voids { found: f64, left: f64 },
 }
 
 /// What a run has cost so far, on this rank.
@@ -36,6 +38,8 @@ pub struct Counters {
     pub forces: u64,
     /// Neighbour list builds.
     pub rebuilds: u64,
+    /// How often the pairs that can touch were picked from the lists.
+    pub narrowings: u64,
     /// Particles handed to another rank.
     pub migrated: u64,
 }
@@ -67,6 +71,10 @@ impl Energies {
     }
 }
 
+/// Steps like the last one for which pairs that can touch are picked from the lists: picking costs about two force
+/// evaluations, and pairs picked in vain make each of the others dearer.
+const STEPS_FORESEEN: f64 = 16.0;
+
 /// Particles, their box and potential, and the lists that make forces cheap.
 pub struct System<M: Model> {
     pub comm: Comm,
@@ -91,6 +99,10 @@ pub struct System<M: Model> {
     /// No own or foreign point has travelled farther than this since the build; the same on all ranks. Infinite when
     /// not known.
     travel_bound: f64,
+    /// No point has moved farther than this since the lists were narrowed, and for how much they were; the last step.
+    since_narrowed: f64,
+    narrowed_for: f64,
+    last_move: f64,
     /// The lists were never built, or do not describe these particles.
     stale: bool,
     /// Foreign positions may be old.
@@ -141,6 +153,9 @@ impl<M: Model> System<M> {
             built_box: pbox,
             built_position: Vec::new(),
             travel_bound: f64::INFINITY,
+            since_narrowed: f64::INFINITY,
+            narrowed_for: 0.0,
+            last_move: 0.0,
             stale: true,
             halo_is_old: true,
             particles,
@@ -199,6 +214,22 @@ impl<M: Model> System<M> {
         self.pbox = to;
         // what was travelled in the old box is another length in this one
         self.travel_bound = f64::INFINITY;
+        self.since_narrowed = f64::INFINITY;
+    }
+
+    /// Shears the box (x displaced by `strain` × y) and takes every point along affinely; a box tilted by more than
+    /// half its first edge is replaced by an equal one that is not, exactly.
+    pub fn shear(&mut self, strain: f64) {
+        let (pbox, flips) = self.pbox.sheared(strain).least_tilted();
+        if flips != 0 {
+            self.particles.forget_foreign();
+            for point in &mut self.particles.position {
+                *point = point.flipped(flips);
+            }
+            // the subdomains lie elsewhere now
+            self.stale = true;
+        }
+        self.deform(pbox);
     }
 
     /// Changes the box, takes particle centres along affinely and moves each particle as a rigid whole.
@@ -215,6 +246,7 @@ impl<M: Model> System<M> {
         }
         self.pbox = to;
         self.travel_bound = f64::INFINITY;
+        self.since_narrowed = f64::INFINITY;
         self.halo_is_old = true;
     }
 
@@ -253,6 +285,8 @@ impl<M: Model> System<M> {
             &|(), ()| (),
         );
         self.travel_bound += bound;
+        self.since_narrowed += bound;
+        self.last_move = bound;
         self.halo_is_old = true;
     }
 
@@ -264,13 +298,13 @@ impl<M: Model> System<M> {
         merge: impl Fn(R, R) -> R + Sync,
     ) -> Result<Option<R>, EngineError> {
         self.prepare()?;
+        self.narrow();
         self.counters.forces += 1;
         let view = View { pbox: &self.pbox, particles: &self.particles, lists: &self.list };
         let model = &self.model;
         if M::BODIES {
             let work = |chunk: &Chunk, forces: &mut [Vec2], lightened: &mut [Vec2]| {
-                model.forces(&view, chunk.particles.clone(), forces);
-                model.lighten(&view, chunk.particles.clone(), forces, lightened);
+                model.forces_and_lightened(&view, chunk.particles.clone(), forces, lightened);
                 reduce(chunk, view.particles, forces, lightened)
             };
             return Ok(threads::fold(&self.chunks, &mut self.forces, &mut self.lightened, &work, &merge));
@@ -303,6 +337,16 @@ impl<M: Model> System<M> {
         Ok(())
     }
 
+    /// Picks from the lists what can touch during the next steps, if points have moved farther than was foreseen.
+    fn narrow(&mut self) {
+        if self.since_narrowed > self.narrowed_for {
+            self.narrowed_for = (STEPS_FORESEEN * self.last_move).max(0.01 * self.skin).min(0.5 * self.skin);
+            self.model.narrow(&self.pbox, &self.particles, &mut self.list, self.narrowed_for);
+            self.since_narrowed = 0.0;
+            self.counters.narrowings += 1;
+        }
+    }
+
     /// What forces are computed from; call [`System::prepare`] first.
     pub fn view(&self) -> View<'_, M::List> {
         View { pbox: &self.pbox, particles: &self.particles, lists: &self.list }
@@ -330,6 +374,8 @@ impl<M: Model> System<M> {
     /// Hands particles to the owners of their centres, then collects the foreign points that the new lists name.
     fn rebuild(&mut self) -> Result<(), EngineError> {
         self.counters.rebuilds += 1;
+        // its memory is wanted for the new one
+        self.list = M::List::default();
         self.particles.forget_foreign();
         self.list = M::List::default(); // not there twice
         self.migrate();
@@ -366,6 +412,7 @@ impl<M: Model> System<M> {
         self.built_box = self.pbox;
         self.built_position = threads::collect(owned_points, |i| self.particles.position[i]);
         self.travel_bound = 0.0;
+        self.since_narrowed = f64::INFINITY;
         self.stale = false;
         Ok(())
     }
@@ -607,9 +654,14 @@ impl<M: Model> System<M> {
     /// Refreshes a value per point from the owners, own points first; T is two words wide.
     pub fn share<T: bytemuck::Pod + Default>(&mut self, own: Vec<T>) -> Vec<T> {
         let mut values = own;
-        values.resize(self.particles.position.len(), T::default());
-        self.halo.update(&self.comm, &mut values);
+        self.refresh(&mut values);
         values
+    }
+
+    /// The same in place; room for the foreign points is made at the first call.
+    pub fn refresh<T: bytemuck::Pod + Default>(&mut self, values: &mut Vec<T>) {
+        values.resize(self.particles.position.len(), T::default());
+        self.halo.update(&self.comm, values);
     }
 
     /// Global id of the lowest-numbered particle with a point whose force is not below `limit`, if there is one.

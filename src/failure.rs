@@ -64,7 +64,9 @@ impl From<EngineError> for Failure {
     fn from(error: EngineError) -> Self {
         match error {
             EngineError::TooManyRanks(_) | EngineError::BoxTooSmall { .. } => Failure::Input(error.to_string()),
-            EngineError::Runaway { .. } | EngineError::Crossing(..) => Failure::Other(error.to_string()),
+            EngineError::Runaway { .. } | EngineError::Crossing(..) | EngineError::Voids { .. } => {
+                Failure::Other(error.to_string())
+            }
         }
     }
 }
@@ -72,7 +74,9 @@ impl From<EngineError> for Failure {
 impl From<ExchangeError> for Failure {
     fn from(error: ExchangeError) -> Self {
         match error {
-            ExchangeError::Engine { source: EngineError::Runaway { .. }, .. } => Failure::Other(error.to_string()),
+            ExchangeError::Engine { source: EngineError::Runaway { .. } | EngineError::Voids { .. }, .. } => {
+                Failure::Other(error.to_string())
+            }
             _ => Failure::Input(error.to_string()),
         }
     }

@@ -1,4 +1,4 @@
-//! One frame of a results file, put to another use: drawn, or handed on in the exchange format.
+//! One frame of a results file, put to another use: drawn, looked at, or handed on in the exchange format.
 
 use crate::comm::Comm;
 use crate::engine::System;
@@ -7,7 +7,7 @@ use crate::failure::Failure;
 use crate::geometry::{Polygon, Vec2, add};
 use crate::minimize::Report;
 use crate::model::{EdgeEdge, Model, VertexEdge};
-use crate::observe::{Rattlers, Sample};
+use crate::observe::{Look, Rattlers, Sample};
 use crate::output::{Header, Results, Snapshot};
 use crate::run::{drawing, setup};
 use crate::scene::{ColorBy, Contact, Physics, Scene};
@@ -18,33 +18,57 @@ pub type Frame = Option<usize>;
 
 /// Draws a frame. The engine measures it anew, because contacts are not stored. Collective.
 pub fn render(comm: Comm, file: &Path, frame: Frame, color_by: ColorBy, picture: &Path) -> Result<(), Failure> {
-    let (header, snapshot) = read(&comm, file, frame)?;
-    let scene = Scene::parse(&header.scene, &file.display().to_string(), &[])?;
+    let results = Results::open(&comm, file)?;
+    with_frame(comm, file, &results, frame, |_, _| Draw { color_by, picture })?
+}
+
+struct Draw<'a> {
+    color_by: ColorBy,
+    picture: &'a Path,
+}
+
+impl Look for Draw<'_> {
+    type Output = ();
+    type Error = Failure;
+
+    fn look<M: Model>(self, system: &mut System<M>) -> Result<(), Failure> {
+        let (sample, columns) = Sample::measure(system, &Report::default(), Rattlers::default())?;
+        drawing::draw(system, &sample, &columns, self.color_by, self.picture)
+    }
+}
+
+/// Sets up a frame of an open file, and has a look at it that may depend on the scene of the file and on what was
+/// stored with the frame. Collective.
+pub fn with_frame<L: Look>(
+    comm: Comm,
+    file: &Path,
+    results: &Results,
+    frame: Frame,
+    look: impl FnOnce(&Scene, &Snapshot) -> L,
+) -> Result<Result<L::Output, L::Error>, Failure> {
+    let k = frame.unwrap_or(results.frames.saturating_sub(1));
+    let snapshot = results.frame(&comm, k)?;
+    let scene = Scene::parse(&results.header.scene, &file.display().to_string(), &[])?;
+    let look = look(&scene, &snapshot);
     match &scene.physics {
-        Physics::Sp(sp) => draw(comm, setup::disk_model(sp), snapshot, &scene, color_by, picture),
+        Physics::Sp(sp) => look_at(comm, setup::disk_model(sp), snapshot, &scene, look),
         Physics::Dp(dp) => match dp.potential.contact {
-            Contact::VertexEdge => {
-                draw(comm, setup::deformable_model::<VertexEdge>(dp), snapshot, &scene, color_by, picture)
-            }
-            Contact::EdgeEdge => {
-                draw(comm, setup::deformable_model::<EdgeEdge>(dp), snapshot, &scene, color_by, picture)
-            }
+            Contact::VertexEdge => look_at(comm, setup::deformable_model::<VertexEdge>(dp), snapshot, &scene, look),
+            Contact::EdgeEdge => look_at(comm, setup::deformable_model::<EdgeEdge>(dp), snapshot, &scene, look),
         },
     }
 }
 
-fn draw<M: Model>(
+fn look_at<M: Model, L: Look>(
     comm: Comm,
     model: M,
     snapshot: Snapshot,
     scene: &Scene,
-    color_by: ColorBy,
-    picture: &Path,
-) -> Result<(), Failure> {
+    look: L,
+) -> Result<Result<L::Output, L::Error>, Failure> {
     let Snapshot { pbox, particles, .. } = snapshot;
     let mut system = System::new(comm, model, pbox, &pbox, particles, scene.neighbor.skin)?;
-    let (sample, columns) = Sample::measure(&mut system, &Report::default(), Rattlers::default())?;
-    drawing::draw(&mut system, &sample, &columns, color_by, picture)
+    Ok(look.look(&mut system))
 }
 
 /// A frame in the exchange format. Called by one rank, which reads all of it.

@@ -1,5 +1,6 @@
 //! Jammed packings of soft and deformable particles in two dimensions.
 
+pub mod analysis;
 pub mod cli;
 pub mod comm;
 pub mod commands;
@@ -19,4 +20,6 @@ pub mod particles;
 pub mod protocol;
 pub mod run;
 pub mod scene;
+pub mod stiffness;
 pub mod threads;
+pub mod validate;

@@ -35,6 +35,8 @@ pub struct Scene {
     pub initial: Initial,
     pub onset: Onset,
     pub compression: Compression,
+    pub shear: Shear,
+    pub measure: Measure,
     pub minimize: Minimize,
     pub neighbor: Neighbor,
     pub output: Output,
@@ -165,6 +167,31 @@ pub struct LogSteps {
     pub from: f64,
     pub to: f64,
     pub per_decade: usize,
+}
+
+/// Quasi-static simple shear of the last state of the compression.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Shear {
+    /// Strain at the end; 0 for none.
+    pub until: f64,
+    /// Strain between samples, each relaxed.
+    pub step: f64,
+}
+
+impl Shear {
+    /// The strains to sample, ascending.
+    pub fn strains(&self) -> Vec<f64> {
+        // a last step of nothing but rounding is none
+        let n = (self.until / self.step - 1e-9).ceil().max(0.0) as usize;
+        (1..=n).map(|k| (k as f64 * self.step).min(self.until)).collect()
+    }
+}
+
+/// What is measured at each sample besides what costs little.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Measure {
+    /// Elastic moduli by linear response.
+    pub moduli: bool,
 }
 
 /// How a state is relaxed.
@@ -446,6 +473,9 @@ const KEYS: &[Key] = &[
     both("compression.log.from", Float(1e-9, 1.0), "1e-4"),
     both("compression.log.to", Float(1e-9, 1.0), "0.1"),
     both("compression.log.per_decade", Int(1, 1000), "4"),
+    both("shear.until", Float(0.0, 100.0), "0.0"),
+    both("shear.step", Float(1e-7, 0.1), "0.01"),
+    both("measure.moduli", Bool, "true"),
     both("minimize.method", Choice(&["fire"]), "\"fire\""),
     sp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-12"),
     dp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-9"),

@@ -141,7 +141,9 @@ const QUICK_SP: &str = "model = 'sp'\nn_particles = 32\n[compression]\nincrement
 #[test]
 fn help_and_version() {
     let help = Place::new().jamhpc(&["--help"]).succeeds().stdout;
-    for part in ["Examples:", "Exit codes:", "evaluate", "minimize", "render", "info", "init", "--threads"] {
+    for part in
+        ["Examples:", "Exit codes:", "evaluate", "minimize", "analyze", "check", "render", "info", "init", "--threads"]
+    {
         assert!(help.contains(part), "{part}");
     }
     let version = Place::new().jamhpc(&["--version"]).succeeds().stdout;
@@ -195,6 +197,25 @@ fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
     place.jamhpc(&["evaluate", "relaxed.json", "-o", "evaluation.json"]).succeeds();
     assert!(place.read("evaluation.json").starts_with(b"{\"energy\":"));
 
+    let valid = place.jamhpc(&["check", "out/results.h5"]).succeeds().stdout;
+    assert!(valid.contains("frame 2: stored packing_fraction") && !valid.contains("FAILED"), "{valid}");
+    place.ranks(2, &["check", "out/results.h5", "--frame", "1"]).succeeds();
+    let strict = place.jamhpc(&["check", "out/results.h5", "--force-tolerance", "1e-30"]);
+    strict.fails_with(1, &["out/results.h5 is not valid"]);
+    assert!(strict.stderr.contains("frame 0: max|F|"), "{}", strict.stderr);
+    let one = place.jamhpc(&["analyze", "out/results.h5", "--frame", "2"]).succeeds().stdout;
+    assert_eq!(one, place.ranks(2, &["analyze", "out/results.h5"]).succeeds().stdout);
+    let all = place.jamhpc(&["analyze", "out/results.h5", "--all"]).succeeds().stdout;
+    let table: Vec<Vec<&str>> = all.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(table.len(), 4);
+    for name in ["contact_number", "mean_shear_modulus", "stress_virial_xy"] {
+        let column = table[0].iter().position(|&column| column == name).unwrap_or_else(|| panic!("{name}: {all}"));
+        let line = one.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap();
+        assert_eq!(line.split_whitespace().nth(1), Some(table[3][column]));
+    }
+
+    place.refuses(&["analyze", "relaxed.json", "--all"], &["relaxed.json", "leave"]);
+    place.refuses(&["check", "out/results.h5", "--frame", "7"], &["no frame 7"]);
     place.refuses(&["render", "out/results.h5", "--frame", "3", "-o", "x.svg"], &["no frame 3", "0 to 2"]);
     place.refuses(&["render", "out/results.h5", "-o", "x.pdf"], &["x.pdf", ".svg or .png"]);
     place.refuses(&["evaluate", "relaxed.json", "--frame", "0"], &["--frame", "relaxed.json"]);
@@ -323,6 +344,37 @@ fn ranks_refuse_together_and_speak_once() {
     // eight ranks do not fit a box of 32 disks
     place.ranks(8, &["run", "scene.toml"]).is_refusal(&["8 ranks do not fit", "mpirun -n"]);
     assert_eq!(place.files(), before);
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Invalid states
+
+#[test]
+fn a_check_fails_loudly() {
+    let place = Place::new();
+    let disks = |positions: &str| {
+        format!(
+            "{{\"model\":\"sp\",\"box\":{{\"lx\":4,\"ly\":4}},\"epsilon\":1,\"diameters\":[1,1],\"positions\":[{positions}]}}"
+        )
+    };
+    place.write("apart.json", &disks("[0,0],[2,2]"));
+    place.write("pressed.json", &disks("[0,0],[0.9,0]"));
+    let apart = place.jamhpc(&["check", "apart.json"]).succeeds().stdout;
+    assert!(apart.contains("max|F|"), "{apart}");
+    for ranks in [1, 2] {
+        let pressed = place.ranks(ranks, &["check", "pressed.json"]);
+        pressed.fails_with(1, &["pressed.json is not valid"]);
+        assert!(pressed.stderr.contains("max|F|: 1.000e-1, limit 1.000e-8"), "{}", pressed.stderr);
+    }
+    // what nothing holds has numbers all the same
+    let measured = place.jamhpc(&["analyze", "apart.json"]).succeeds().stdout;
+    for (name, value) in
+        [("contact_number", "0"), ("shear_modulus", "0"), ("n_rattlers", "2"), ("moduli_are_stable", "1")]
+    {
+        let line = measured.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap();
+        assert_eq!(line.split_whitespace().nth(1), Some(value), "{measured}");
+    }
+    assert!(!measured.contains("NaN"), "{measured}");
 }
 
 // ---------------------------------------------------------------------------------------------------------------------

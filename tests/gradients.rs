@@ -6,6 +6,7 @@ use jamhpc::exchange::Configuration;
 use jamhpc::geometry::{PeriodicBox, Vec2, dot, norm, scale, sub};
 use jamhpc::model::{Deformable, DeformableParameters, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
 use jamhpc::particles::Particles;
+use jamhpc::protocol::{Species, deformable_particles};
 
 /// Fourth-order central difference of f at 0.
 fn derivative(step: f64, f: impl Fn(f64) -> f64) -> f64 {
@@ -179,4 +180,45 @@ fn contact_energies_are_the_sums_that_define_them() {
         let e = energies(Deformable::<EdgeEdge>::new(constants), pbox, &particles).contact;
         assert!(close(e, edge_edge), "{e} {edge_edge}");
     }
+}
+
+/// The forces that minimisers use leave out contributions that cancel and pairs that cannot touch; the sums over all
+/// touches leave out nothing.
+#[test]
+fn forces_are_the_sums_over_all_touches() {
+    let species = [(12, 0.7), (17, 1.4)].map(|(n_vertices, size)| Species { count: 32, size, n_vertices });
+    let dilute = PeriodicBox::new(10.0, 10.0, 2.0);
+    let (comm, polygons) = deformable_particles(Comm::alone(), dilute, &species, 1, 0.1).unwrap();
+    let model = Deformable::<VertexEdge>::new(parameters(1.0, 300.0, 50.0, 0.2));
+    let dense = PeriodicBox::new(9.7, 9.7, 1.5);
+    let mut system = System::new(comm, model, dilute, &dense, polygons, 0.1).unwrap();
+    system.deform_rigidly(dense);
+    system.carry(1);
+    let n = system.particles().len();
+    for step in 0..50 {
+        let scale = system.max_force().unwrap();
+        let view = system.view();
+        let (mut right, mut lightened) = (system.forces().to_vec(), system.forces().to_vec());
+        model.forces(&view, 0..n, &mut right);
+        model.lighten(&view, 0..n, &right, &mut lightened);
+        for chunk in system.chunks() {
+            let touching = view.lists.narrowed(chunk.particles.start).unwrap();
+            let all = chunk.particles.clone().all(|p| touching.of(p).is_some());
+            assert!(all, "no particle reaches around the box");
+        }
+        for (made, right) in [(system.forces(), &right), (system.lightened_forces(), &lightened)] {
+            for (point, (f, g)) in made.iter().zip(right).enumerate() {
+                assert!(norm(sub(*f, *g)) < 1e-14 * scale, "step {step}, point {point}: {f:?} and {g:?}");
+            }
+        }
+        // steps of changing length, so that pairs are picked anew now and then
+        let by = 4e-4 * (1 + step % 3) as f64;
+        system.move_points(1.5 * by, |pbox, positions, _, _| {
+            for (k, point) in positions.iter_mut().enumerate() {
+                *point = pbox.moved(*point, [by * noise(100 * step + 2 * k), by * noise(100 * step + 2 * k + 1)]);
+            }
+        });
+    }
+    let narrowings = system.counters.narrowings;
+    assert!(narrowings > 2 && narrowings < 25, "{narrowings}");
 }

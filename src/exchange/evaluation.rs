@@ -3,9 +3,12 @@ use crate::engine::{EngineError, System};
 use crate::geometry::Vec2;
 use crate::minimize::Report;
 use crate::model::Model;
-use crate::observe::{Contacts, Rattlers, Sample, ShapeParameter};
+use crate::observe::{
+    Approximations, Contacts, Rattlers, Sample, ShapeParameter, Void, VoidStatistics, Voids, rattler_ids,
+};
 use crate::particles::Bodies;
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// What one configuration is evaluated to. Lists have one entry per particle (or point) in the order of the input, and
 /// are empty on ranks other than 0. Units are those of the input.
@@ -27,10 +30,82 @@ pub struct Evaluation {
     /// Polygon areas, or areas of the disks cut along the radical axes of their overlaps.
     pub areas: Vec<f64>,
     pub perimeters: Vec<f64>,
+    /// Exact, and with everything that particles share counted twice.
     pub packing_fraction: f64,
+    pub packing_fraction_double_counted: f64,
     pub reduced_number_density: f64,
     /// Means over all particles; the three are equal for disks.
     pub shape_parameter: ShapeParameter,
+    /// Those with most sides first, then the largest.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub voids: Option<Vec<VoidRow>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub void_statistics: Option<VoidSummaries>,
+    /// Packing fractions of the paper's approximations, and their errors.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub approximations: Option<BTreeMap<&'static str, Approximation>>,
+}
+
+/// What an evaluation may hold besides, on demand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extra {
+    Voids,
+    Approximations,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct VoidRow {
+    pub sides: u32,
+    pub area: f64,
+    pub perimeter: f64,
+    pub shape_parameter: f64,
+    pub islands: u32,
+    pub percolates: bool,
+}
+
+/// With all particles, and with those alone that are no rattlers; none of the latter where all rattle.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct VoidSummaries {
+    pub all: VoidSummary,
+    pub without_rattlers: Option<VoidSummary>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct VoidSummary {
+    pub n_voids: u64,
+    pub n_percolating: u64,
+    /// Fractions with 3, 4, 5, 6 and more sides, of those that do not percolate.
+    pub fractions: [f64; 5],
+    /// Means over those with 3 sides.
+    pub border_shape_parameter: f64,
+    pub border_radius: f64,
+    /// Of deformable particles only.
+    pub border_radius_over_delta: Option<f64>,
+    /// Gaps inside single contacts, which are no voids.
+    pub n_slivers: u64,
+    pub sliver_area: f64,
+}
+
+impl VoidSummary {
+    fn new(s: &VoidStatistics, delta: Option<f64>) -> Self {
+        VoidSummary {
+            n_voids: s.n_voids,
+            n_percolating: s.n_percolating,
+            fractions: s.fractions(),
+            border_shape_parameter: s.border_shape_parameter,
+            border_radius: s.border_radius,
+            border_radius_over_delta: delta.map(|delta| s.border_radius / delta),
+            n_slivers: s.n_slivers,
+            sliver_area: s.sliver_area,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Approximation {
+    pub value: f64,
+    /// Less the exact packing fraction.
+    pub error: f64,
 }
 
 /// U and its terms.
@@ -50,7 +125,7 @@ pub struct Stress {
 
 impl Evaluation {
     /// Of the present state. Collective.
-    pub fn of<M: Model>(system: &mut System<M>) -> Result<Evaluation, EngineError> {
+    pub fn of<M: Model>(system: &mut System<M>, extras: &[Extra]) -> Result<Evaluation, EngineError> {
         let max_force = system.max_force()?;
         if !max_force.is_finite() {
             return Err(EngineError::Runaway { particle: system.offender(f64::INFINITY).unwrap_or_default() });
@@ -58,7 +133,35 @@ impl Evaluation {
         let report = Report { max_force, force_evaluations: 1, ..Report::default() };
         let rattlers = Rattlers::default();
         let (sample, columns) = Sample::measure(system, &report, rattlers)?;
-        let contacts = Contacts::of(system, rattlers)?.all_pairs(system);
+        let network = Contacts::of(system, rattlers)?;
+        let contacts = network.all_pairs(system);
+        let rho = sample.density.packing_fraction;
+        let is_disks = matches!(system.model.bodies(), Bodies::Disks);
+        let (mut voids, mut void_statistics, mut approximations) = (None, None, None);
+        if extras.contains(&Extra::Voids) {
+            let delta = (!is_disks).then(|| system.model.range(system.largest_size()));
+            let all = Voids::of(system, &[], Some(rho))?;
+            let removed = rattler_ids(system, &network);
+            let without_rattlers = match removed.len() as u64 {
+                n if n == network.n_particles => None,
+                _ => Some(VoidSummary::new(&Voids::of(system, &removed, None)?.statistics, delta)),
+            };
+            void_statistics = Some(VoidSummaries { all: VoidSummary::new(&all.statistics, delta), without_rattlers });
+            let row = |v: &Void| VoidRow {
+                sides: v.sides,
+                area: v.area,
+                perimeter: v.perimeter,
+                shape_parameter: v.shape_parameter(),
+                islands: v.islands,
+                percolates: v.percolates,
+            };
+            voids = Some(all.list.iter().map(row).collect());
+        }
+        if extras.contains(&Extra::Approximations) && is_disks {
+            let named = Approximations::of(system)?.named();
+            let entry = |(name, value): (&'static str, f64)| (name, Approximation { value, error: value - rho });
+            approximations = Some(named.into_iter().map(entry).collect());
+        }
         let e = sample.energies;
         let rows = by_id(system, |p| {
             let forces = &system.forces()[system.particles().bodies.points(p)];
@@ -83,9 +186,13 @@ impl Evaluation {
             rattlers: (0..).zip(&rows).filter(|(_, row)| row[0] != 0.0).map(|(id, _)| id).collect(),
             areas: rows.iter().map(|row| row[1]).collect(),
             perimeters: rows.iter().map(|row| row[2]).collect(),
-            packing_fraction: sample.density.packing_fraction,
+            packing_fraction: rho,
+            packing_fraction_double_counted: sample.density.double_counted,
             reduced_number_density: sample.density.reduced_number_density,
             shape_parameter: sample.shape_parameter,
+            voids,
+            void_statistics,
+            approximations,
         })
     }
 }

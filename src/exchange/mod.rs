@@ -9,7 +9,7 @@ mod problem;
 mod reader;
 
 pub use configuration::{Cell, Configuration, ContactForm};
-pub use evaluation::{Energy, Evaluation, Stress};
+pub use evaluation::{Energy, Evaluation, Extra, Stress};
 pub use problem::{ExchangeError, Problem};
 
 use crate::comm::Comm;
@@ -17,14 +17,14 @@ use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, add};
 use crate::minimize::{Goal, Minimized, Minimizer};
 use crate::model::{Deformable, DeformableParameters, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
-use crate::observe::check_no_crossing;
+use crate::observe::{Look, check_no_crossing};
 use crate::particles::Bodies;
 use serde::Serialize;
 
 /// Evaluates the configuration in `text` as it stands: the text of an [`Evaluation`] on rank 0, an empty one on the
-/// others. `origin` names the file in error messages. Collective.
-pub fn evaluate(comm: Comm, text: &str, origin: &str) -> Result<String, ExchangeError> {
-    with_system(comm, text, origin, Evaluate)
+/// others. `origin` names the file in error messages, `extras` what to add. Collective.
+pub fn evaluate(comm: Comm, text: &str, origin: &str, extras: &[Extra]) -> Result<String, ExchangeError> {
+    with_system(comm, text, origin, Evaluate { extras })
 }
 
 /// Relaxes the configuration in `text`: on rank 0 the text of the relaxed one, in the same format, with an object
@@ -41,6 +41,28 @@ pub fn minimize(
     goal: &Goal,
 ) -> Result<(String, Minimized), ExchangeError> {
     with_system(comm, text, origin, Relax { minimizer, goal })
+}
+
+/// Sets up the configuration in `text` and has a look at it. Collective.
+pub fn look<L: Look<Error = EngineError>>(
+    comm: Comm,
+    text: &str,
+    origin: &str,
+    look: L,
+) -> Result<L::Output, ExchangeError> {
+    with_system(comm, text, origin, AsTask(look))
+}
+
+struct AsTask<L>(L);
+
+impl<L: Look<Error = EngineError>> Task for AsTask<L> {
+    type Output = L::Output;
+
+    const SKIN: f64 = Evaluate::SKIN;
+
+    fn run<M: Model>(self, _: Configuration, mut system: System<M>) -> Result<L::Output, EngineError> {
+        self.0.look(&mut system)
+    }
 }
 
 /// What to do with a system whose model is only known once the text has been read.
@@ -103,15 +125,17 @@ fn refuse_crossings<M: Model>(system: &mut System<M>) -> Result<(), EngineError>
     }
 }
 
-struct Evaluate;
+struct Evaluate<'a> {
+    extras: &'a [Extra],
+}
 
-impl Task for Evaluate {
+impl Task for Evaluate<'_> {
     type Output = String;
 
     const SKIN: f64 = 0.0;
 
     fn run<M: Model>(self, _: Configuration, mut system: System<M>) -> Result<String, EngineError> {
-        let evaluation = Evaluation::of(&mut system)?;
+        let evaluation = Evaluation::of(&mut system, self.extras)?;
         Ok(if system.comm.is_root() { to_text(&evaluation) } else { String::new() })
     }
 }

@@ -55,6 +55,13 @@ impl Frac {
     }
 }
 
+impl Frac {
+    /// The same point when the second box vector has become shorter by `n` times the first: exact.
+    pub fn flipped(self, n: i64) -> Frac {
+        Frac([self.0[0].wrapping_add(self.0[1].wrapping_mul(n)), self.0[1]])
+    }
+}
+
 /// A real number of periods as a wrapped 64-bit fraction, to the nearest representable one.
 fn fixed(f: f64) -> i64 {
     let f = f - f.round(); // exact, in [-1/2, 1/2]

@@ -1,14 +1,18 @@
-//! Points, boxes, segments, polygons and disks in the periodic plane.
+//! Points, boxes, segments, polygons, disks and rounded outlines in the periodic plane.
 //!
 //! Everything here is pure: no particle, no potential, no rank is known in this room.
 
+mod capsule;
 mod disk_cut;
+mod exposure;
 mod frac;
 mod periodic_box;
 mod polygon;
 mod segment;
 
+pub use capsule::{Capsule, Piece};
 pub use disk_cut::{DiskCut, cut_disk};
+pub use exposure::{Exposed, Exposure, Hidden};
 pub use frac::Frac;
 pub use periodic_box::{PeriodicBox, Region};
 pub use polygon::Polygon;

@@ -95,11 +95,28 @@ impl PeriodicBox {
         Self::new(s * self.lx, s * self.ly, s * self.xy)
     }
 
+    /// Sheared: x displaced by `strain` × y.
+    pub fn sheared(&self, strain: f64) -> Self {
+        Self::new(self.lx, self.ly, self.xy + strain * self.ly)
+    }
+
+    /// The cell of the same lattice that is tilted by at most half its first edge, and how many times that edge was
+    /// taken from the second; [`Frac::flipped`] takes points along.
+    pub fn least_tilted(&self) -> (Self, i64) {
+        let n = (self.xy / self.lx).round();
+        (Self::new(self.lx, self.ly, self.xy - n * self.lx), n as i64)
+    }
+
     /// Nearest-image vector a − b.
     #[inline(always)]
     pub fn displacement(&self, a: Frac, b: Frac) -> Vec2 {
-        let d = a.minus(b);
-        let (x, y) = (d[0] as f64, d[1] as f64);
+        self.vector(a.minus(b))
+    }
+
+    /// A raw fixed-point difference as a Cartesian vector.
+    #[inline(always)]
+    pub fn vector(&self, raw: [i64; 2]) -> Vec2 {
+        let (x, y) = (raw[0] as f64, raw[1] as f64);
         [x * self.unit[0] + y * self.unit[1], y * self.unit[2]]
     }
 
@@ -194,6 +211,25 @@ mod tests {
             let d = b.displacement(b.frac(p), b.frac(q));
             assert!((d[0] - (p[0] - q[0])).abs() < 2e-17, "{}", d[0] - (p[0] - q[0]));
             assert!((d[1] - (p[1] - q[1])).abs() < 2e-17);
+        }
+    }
+
+    #[test]
+    fn flips_leave_every_point_where_it_is() {
+        let far = PeriodicBox::new(4.0, 3.0, 0.5).sheared(3.25);
+        let (near, n) = far.least_tilted();
+        assert_eq!((near.xy(), n), (10.25 - 12.0, 3));
+        for f in [[0.1, 0.2], [0.9, 0.95], [0.5, 0.5], [0.999, 0.001]] {
+            let (a, b) = (Frac::from_fractions(f), Frac::from_fractions([0.3, 0.4]));
+            // the same up to periods of the lattice
+            let [p, q] = [far.position(a), near.position(a.flipped(n))];
+            let v = ((p[1] - q[1]) / 3.0).round();
+            let u = (p[0] - q[0] - v * near.xy()) / 4.0;
+            assert!((u - u.round()).abs() < 1e-14 && (p[1] - q[1] - 3.0 * v).abs() < 1e-14, "{f:?}");
+            assert_eq!(a.flipped(n).flipped(-n), a);
+            let short = near.moved(b.flipped(n), [0.2, -0.1]);
+            let d = near.displacement(short, b.flipped(n));
+            assert!((d[0] - 0.2).abs() < 1e-15 && (d[1] + 0.1).abs() < 1e-15);
         }
     }
 

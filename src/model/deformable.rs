@@ -1,7 +1,8 @@
+use super::stiffness::{Block, Elastic, TouchStiffness, add_elastic, along_and_across, scaled, strained, times};
 use super::{Harmonic, Model, Outline, Terms, View, add_outer, rigid};
-use crate::geometry::{Polygon, Vec2, cross, dot, norm, scale, sub};
+use crate::geometry::{PeriodicBox, Polygon, Vec2, add, cross, dot, norm, scale, sub};
 use crate::neighbor::{Candidates, PointList};
-use crate::particles::Bodies;
+use crate::particles::{Bodies, Particles};
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -27,6 +28,23 @@ pub trait Contact: Send + Sync {
 
     /// Visits every touch between own particle `particle` and another, from this particle's side.
     fn for_each_touch(law: Harmonic, view: &View<Self::List>, particle: usize, visit: impl FnMut(Touch));
+
+    /// Readies the lists for [`Contact::forces_and_lightened`], see [`Model::narrow`].
+    fn narrow(_law: Harmonic, _pbox: &PeriodicBox, _particles: &Particles, _list: &mut Self::List, _travel: f64) {}
+
+    /// All forces on a chunk of own particles, and what they accelerate.
+    fn forces_and_lightened(
+        model: &Deformable<Self>,
+        view: &View<Self::List>,
+        particles: Range<usize>,
+        forces: &mut [Vec2],
+        lightened: &mut [Vec2],
+    ) where
+        Self: Sized,
+    {
+        model.forces(view, particles.clone(), forces);
+        model.lighten(view, particles, forces, lightened);
+    }
 }
 
 /// One contribution of a contact as felt by one of the two particles.
@@ -34,14 +52,27 @@ pub trait Contact: Send + Sync {
 pub struct Touch {
     /// Our points that share the force, counted from the particle's first point, with their weights (sum 1).
     pub ours: [(usize, f64); 2],
-    /// A point of the other particle.
-    pub other: u32,
+    /// Points of the other particle that share the opposite force, with their weights (sum 1).
+    pub theirs: [(u32, f64); 2],
+    /// Whether the place of the contact moves along an edge when the outlines shift.
+    pub slide: Slide,
     /// Force on us.
     pub force: Vec2,
     /// Vector from the point of the other outline to that of ours.
     pub separation: Vec2,
     /// Energy of the whole contribution (both particles together); negative where it corrects a corner counted twice.
     pub energy: f64,
+}
+
+/// An edge on whose inside a contact lies: the vector from its first to its second point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Slide {
+    /// Two corners touch.
+    None,
+    /// Along the edge between our two points.
+    Ours(Vec2),
+    /// Along the edge between theirs.
+    Theirs(Vec2),
 }
 
 /// Deformable particles (DP model, paper Eq. 7): U = γ Σ p + k_a/2 Σ (a − a₀)² + contacts.
@@ -129,8 +160,25 @@ impl<C: Contact> Model for Deformable<C> {
             let range = view.particles.bodies.points(p);
             let mine = range.start - origin..range.end - origin;
             let points = &view.particles.position[range];
-            rigid::lighten(view.pbox, points, &forces[mine.clone()], &mut lightened[mine]);
+            for (arm, &point) in lightened[mine.clone()].iter_mut().zip(points) {
+                *arm = view.pbox.displacement(point, points[0]);
+            }
+            rigid::lighten(&forces[mine.clone()], &mut lightened[mine]);
         }
+    }
+
+    fn forces_and_lightened(
+        &self,
+        view: &View<C::List>,
+        particles: Range<usize>,
+        forces: &mut [Vec2],
+        lightened: &mut [Vec2],
+    ) {
+        C::forces_and_lightened(self, view, particles, forces, lightened);
+    }
+
+    fn narrow(&self, pbox: &PeriodicBox, particles: &Particles, list: &mut C::List, travel: f64) {
+        C::narrow(self.parameters.contact, pbox, particles, list, travel);
     }
 
     fn terms(&self, view: &View<C::List>, p: usize) -> Terms {
@@ -164,7 +212,7 @@ impl<C: Contact> Model for Deformable<C> {
     }
 
     fn for_each_contact(&self, view: &View<C::List>, p: usize, mut visit: impl FnMut(u32, Vec2)) {
-        C::for_each_touch(self.parameters.contact, view, p, |touch| visit(touch.other, touch.force));
+        C::for_each_touch(self.parameters.contact, view, p, |touch| visit(touch.theirs[0].0, touch.force));
     }
 
     fn own_area(&self, view: &View<C::List>, p: usize) -> f64 {
@@ -183,6 +231,70 @@ impl<C: Contact> Model for Deformable<C> {
         }
     }
 
+    fn stiffness(&self, view: &View<C::List>, p: usize, mut add: impl FnMut(usize, u32, Block)) {
+        let DeformableParameters { line_tension, k_area, contact, .. } = self.parameters;
+        let first = view.particles.bodies.points(p).start;
+        let polygon = Polygon::from_vertices(view.pbox, view.particles.points_of(p));
+        let n = polygon.edges.len();
+        // ∂²a/∂x_i∂x_{i+1} is half a turn by 90°
+        let half = 0.5 * k_area * (polygon.area() - view.particles.size[p]);
+        for (i, &edge) in polygon.edges.iter().enumerate() {
+            let j = if i + 1 < n { i + 1 } else { 0 };
+            let (here, next) = ((first + i) as u32, (first + j) as u32);
+            let length = norm(edge);
+            if length > 0.0 {
+                let block = along_and_across(scale(1.0 / length, edge), 0.0, line_tension / length);
+                add(i, here, block);
+                add(j, next, block);
+                add(i, next, scaled(-1.0, block));
+                add(j, here, scaled(-1.0, block));
+            }
+            add(i, next, [0.0, half, -half, 0.0]);
+            add(j, here, [0.0, -half, half, 0.0]);
+        }
+        C::for_each_touch(contact, view, p, |touch| {
+            let who = [touch.ours[0].0, touch.ours[1].0].map(|k| (first + k) as u32);
+            let columns = [who[0], who[1], touch.theirs[0].0, touch.theirs[1].0];
+            TouchStiffness::of(contact, &touch)
+                .rows(&touch, |k, column, block| add(touch.ours[k].0, columns[column], block));
+        });
+    }
+
+    fn area_stiffness(&self, view: &View<C::List>, p: usize, gradient: &mut [Vec2]) -> f64 {
+        let polygon = Polygon::from_vertices(view.pbox, view.particles.points_of(p));
+        let n = polygon.edges.len();
+        for (i, slot) in gradient.iter_mut().enumerate() {
+            let chord = add(polygon.edges[(i + n - 1) % n], polygon.edges[i]);
+            *slot = [0.5 * chord[1], -0.5 * chord[0]];
+        }
+        self.parameters.k_area
+    }
+
+    fn elastic(&self, view: &View<C::List>, p: usize) -> Elastic {
+        let DeformableParameters { line_tension, k_area, contact, .. } = self.parameters;
+        let polygon = Polygon::from_vertices(view.pbox, view.particles.points_of(p));
+        let mut elastic = [0.0; 10];
+        for &edge in polygon.edges.iter().filter(|&&e| dot(e, e) > 0.0) {
+            let length = norm(edge);
+            let block = along_and_across(scale(1.0 / length, edge), 0.0, line_tension / length);
+            add_elastic(&mut elastic, |a, b| dot(strained(a, edge), times(&block, strained(b, edge))));
+        }
+        // a → a det(1 + E)
+        let area = polygon.area();
+        let (square, excess) = (k_area * area * area, k_area * area * (area - view.particles.size[p]));
+        let trace = |a: usize| if a == 0 || a == 3 { 1.0 } else { 0.0 };
+        let determinant = |a: usize, b: usize| match (a, b) {
+            (0, 3) => 1.0,
+            (1, 2) => -1.0,
+            _ => 0.0,
+        };
+        add_elastic(&mut elastic, |a, b| square * trace(a) * trace(b) + excess * determinant(a, b));
+        C::for_each_touch(contact, view, p, |touch| {
+            TouchStiffness::of(contact, &touch).add_elastic(&touch, 0.5, &mut elastic);
+        });
+        elastic
+    }
+
     fn time_step(&self) -> f64 {
         // 1/ω_max with ω_max² = 4ε/δ² + 4π k_a a₀/N_v + 16γ, the stiffest contact, area and line modes (l = 1, m = 1);
         // larger steps fail
@@ -198,9 +310,23 @@ impl<C: Contact> Model for Deformable<C> {
     }
 }
 
-/// A touch of our points `ours` by the outline of another particle at vector `separation` (towards us) and length `d`.
+/// Whether a position along an edge is none of its ends.
 #[inline(always)]
-pub(super) fn touch(law: Harmonic, sign: f64, ours: [(usize, f64); 2], other: u32, separation: Vec2, d: f64) -> Touch {
+pub(super) fn is_inside(t: f64) -> bool {
+    t > 0.0 && t < 1.0
+}
+
+/// The touch of two outlines at vector `separation` (from theirs to ours) of length `d`.
+#[inline(always)]
+pub(super) fn touch(
+    law: Harmonic,
+    sign: f64,
+    ours: [(usize, f64); 2],
+    theirs: [(u32, f64); 2],
+    slide: Slide,
+    separation: Vec2,
+    d: f64,
+) -> Touch {
     let strength = if d > 0.0 { sign * law.force_over_distance(d) } else { 0.0 };
-    Touch { ours, other, force: scale(strength, separation), separation, energy: sign * law.energy(d) }
+    Touch { ours, theirs, slide, force: scale(strength, separation), separation, energy: sign * law.energy(d) }
 }

@@ -1,4 +1,4 @@
-use super::deformable::{Contact, Touch, touch};
+use super::deformable::{Contact, Slide, Touch, is_inside, touch};
 use super::{Harmonic, View};
 use crate::geometry::{Vec2, closest_on_segment, dot, scale, sub};
 use crate::neighbor::{Candidates, EdgeEdgeList};
@@ -43,11 +43,18 @@ impl Contact for EdgeEdge {
     #[inline(always)]
     fn for_each_touch(law: Harmonic, view: &View<EdgeEdgeList>, particle: usize, mut visit: impl FnMut(Touch)) {
         let origin = view.particles.bodies.points(particle).start;
-        for_each_pair(view, particle, |[a, b], [c, _], t, _, d| {
+        for_each_pair(view, particle, |[a, b], [c, e], t, s, d| {
             let d2 = dot(d, d);
             if d2 < law.delta * law.delta {
                 let ours = [(a as usize - origin, 1.0 - t), (b as usize - origin, t)];
-                visit(touch(law, 1.0, ours, c, d, d2.sqrt()));
+                let slide = if is_inside(t) {
+                    Slide::Ours(view.displacement(b, a))
+                } else if is_inside(s) {
+                    Slide::Theirs(view.displacement(e, c))
+                } else {
+                    Slide::None
+                };
+                visit(touch(law, 1.0, ours, [(c, 1.0 - s), (e, s)], slide, d, d2.sqrt()));
             }
         });
     }

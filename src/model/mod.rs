@@ -2,13 +2,16 @@
 
 mod deformable;
 mod edge_edge;
+mod outline_forces;
 mod rigid;
 mod soft_disks;
+mod stiffness;
 mod vertex_edge;
 
 pub use deformable::{Contact, Deformable, DeformableParameters};
 pub use edge_edge::EdgeEdge;
 pub use soft_disks::SoftDisks;
+pub use stiffness::{Block, Elastic, strained, times};
 pub use vertex_edge::VertexEdge;
 
 use crate::geometry::{Frac, PeriodicBox, Polygon, Vec2};
@@ -101,6 +104,22 @@ pub trait Model: Send + Sync {
     /// are lighter than motions of its single points: a symmetric positive map of the forces, the identity for disks.
     fn lighten(&self, view: &View<Self::List>, particles: Range<usize>, forces: &[Vec2], lightened: &mut [Vec2]);
 
+    /// [`Model::forces`] and [`Model::lighten`] of a run of own particles that is a chunk of the lists.
+    fn forces_and_lightened(
+        &self,
+        view: &View<Self::List>,
+        particles: Range<usize>,
+        forces: &mut [Vec2],
+        lightened: &mut [Vec2],
+    ) {
+        self.forces(view, particles.clone(), forces);
+        self.lighten(view, particles, forces, lightened);
+    }
+
+    /// Readies the lists for forces at the present positions and at all that can be reached while no point moves
+    /// farther than `travel` and the box stays as it is. What forces come out does not depend on it, only how fast.
+    fn narrow(&self, _pbox: &PeriodicBox, _particles: &Particles, _list: &mut Self::List, _travel: f64) {}
+
     /// Energy and stress of one own particle.
     fn terms(&self, view: &View<Self::List>, particle: usize) -> Terms;
 
@@ -114,6 +133,18 @@ pub trait Model: Send + Sync {
 
     /// Outline of own particle `particle`.
     fn outline(&self, view: &View<Self::List>, particle: usize) -> Outline;
+
+    /// The blocks of the Hessian in the rows of own particle `particle`: `add(point, column, block)` with the point
+    /// counted from the particle's first. Blocks of one row and column add up. [`Model::area_stiffness`] is not in it.
+    fn stiffness(&self, view: &View<Self::List>, particle: usize, add: impl FnMut(usize, u32, Block));
+
+    /// The part k ∇a ∇aᵀ of the Hessian that couples all points of own particle `particle`: writes the gradient of its
+    /// area by each of its points and returns k. Nothing for disks.
+    fn area_stiffness(&self, view: &View<Self::List>, particle: usize, gradient: &mut [Vec2]) -> f64;
+
+    /// Second derivatives of the energy of own particle `particle` by the strain; the sum over all particles is the
+    /// whole.
+    fn elastic(&self, view: &View<Self::List>, particle: usize) -> Elastic;
 
     /// Largest time step that is safe for unit masses, from a bound on the stiffest mode.
     fn time_step(&self) -> f64;

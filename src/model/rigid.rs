@@ -1,4 +1,4 @@
-use crate::geometry::{Frac, PeriodicBox, Vec2, cross, dot, sub};
+use crate::geometry::{Vec2, add, cross, dot, scale, sub};
 
 /// How much lighter than single vertices the rigid translations and rotations of a particle are made, less one.
 ///
@@ -10,16 +10,16 @@ const TRANSLATION: f64 = 2.0;
 const ROTATION: f64 = 10.0;
 
 /// Writes (1 + 2 P_t + 10 P_r) F for the vertices of one particle, P_t and P_r the projections of the forces F on its
-/// translations and its rotation about the mean vertex.
-pub(super) fn lighten(pbox: &PeriodicBox, points: &[Frac], forces: &[Vec2], lightened: &mut [Vec2]) {
-    let per_vertex = 1.0 / points.len() as f64;
-    // the array holds the arms until the rotation is known
+/// translations and its rotation about the mean vertex. The array holds the vertices, from any origin, at first.
+#[inline(always)]
+pub(super) fn lighten(forces: &[Vec2], lightened: &mut [Vec2]) {
+    let per_vertex = 1.0 / forces.len() as f64;
     let (mut mean_arm, mut mean_force) = ([0.0; 2], [0.0; 2]);
-    for ((arm, &point), f) in lightened.iter_mut().zip(points).zip(forces) {
-        *arm = pbox.displacement(point, points[0]);
-        mean_arm = [mean_arm[0] + per_vertex * arm[0], mean_arm[1] + per_vertex * arm[1]];
-        mean_force = [mean_force[0] + per_vertex * f[0], mean_force[1] + per_vertex * f[1]];
+    for (arm, f) in lightened.iter().zip(forces) {
+        mean_arm = add(mean_arm, *arm);
+        mean_force = add(mean_force, *f);
     }
+    (mean_arm, mean_force) = (scale(per_vertex, mean_arm), scale(per_vertex, mean_force));
     let (mut torque, mut inertia) = (0.0, 0.0);
     for (arm, &f) in lightened.iter_mut().zip(forces) {
         *arm = sub(*arm, mean_arm);
@@ -27,27 +27,23 @@ pub(super) fn lighten(pbox: &PeriodicBox, points: &[Frac], forces: &[Vec2], ligh
         inertia += dot(*arm, *arm);
     }
     let turn = if inertia > 0.0 { ROTATION * torque / inertia } else { 0.0 };
+    let push = scale(TRANSLATION, mean_force);
     for (slot, f) in lightened.iter_mut().zip(forces) {
         let arm = *slot;
-        *slot =
-            [f[0] + TRANSLATION * mean_force[0] - turn * arm[1], f[1] + TRANSLATION * mean_force[1] + turn * arm[0]];
+        *slot = [f[0] + push[0] - turn * arm[1], f[1] + push[1] + turn * arm[0]];
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{add, scale};
-
     #[test]
     fn rigid_motions_are_multiplied_and_others_kept() {
-        let pbox = PeriodicBox::square(8.0);
         let corners = [[7.5, 7.6], [8.6, 7.7], [8.7, 8.4], [7.9, 8.9], [7.4, 8.2]];
-        let points = corners.map(|c| pbox.frac(c));
         let middle = scale(0.2, corners.iter().fold([0.0; 2], |a, &b| add(a, b)));
         let lightened = |forces: [Vec2; 5]| {
-            let mut result = [[0.0; 2]; 5];
-            lighten(&pbox, &points, &forces, &mut result);
+            let mut result = corners.map(|c| sub(c, corners[0]));
+            lighten(&forces, &mut result);
             result
         };
         let close =

@@ -1,5 +1,6 @@
-use super::{Model, Outline, Terms, View, add_outer};
-use crate::geometry::{Vec2, norm};
+use super::stiffness::{Block, Elastic, add_elastic, of_separation, scaled, strained, times};
+use super::{Harmonic, Model, Outline, Terms, View, add_outer};
+use crate::geometry::{Vec2, dot, norm};
 use crate::lanes::{self, Kernel, Lanes};
 use crate::neighbor::{Candidates, DiskList};
 use crate::particles::Bodies;
@@ -139,6 +140,27 @@ impl Model for SoftDisks {
         let lens = |o: Overlap| ([-o.separation[0], -o.separation[1]], o.contact - radius);
         let overlaps = self.overlaps(view, i).map(lens).collect();
         Outline::Disk { radius, overlaps }
+    }
+
+    fn stiffness(&self, view: &View<DiskList>, i: usize, mut add: impl FnMut(usize, u32, Block)) {
+        for (j, r, d, law) in self.overlaps(view, i).filter(|&(_, _, d, _)| d > 0.0) {
+            let block = of_separation(law, r, d);
+            add(0, i as u32, block);
+            add(0, j, scaled(-1.0, block));
+        }
+    }
+
+    fn area_stiffness(&self, _view: &View<DiskList>, _i: usize, _gradient: &mut [Vec2]) -> f64 {
+        0.0
+    }
+
+    fn elastic(&self, view: &View<DiskList>, i: usize) -> Elastic {
+        let mut elastic = [0.0; 10];
+        for (_, r, d, law) in self.overlaps(view, i).filter(|&(_, _, d, _)| d > 0.0) {
+            let block = of_separation(law, r, d);
+            add_elastic(&mut elastic, |a, b| 0.5 * dot(strained(a, r), times(&block, strained(b, r))));
+        }
+        elastic
     }
 
     fn time_step(&self) -> f64 {

@@ -1,7 +1,11 @@
-use super::deformable::{Contact, Touch, touch};
+use super::deformable::{Contact, Deformable, Slide, Touch, is_inside, touch};
+use super::outline_forces::OutlineForces;
 use super::{Harmonic, View};
-use crate::geometry::{Vec2, dot, scale, sub};
+use crate::geometry::{PeriodicBox, Vec2, dot, scale, sub};
+use crate::lanes;
 use crate::neighbor::{Candidates, VertexEdgeList};
+use crate::particles::Particles;
+use std::ops::Range;
 
 /// The smooth contact term: vertices of each particle against edges of the other,
 ///
@@ -53,29 +57,43 @@ impl Contact for VertexEdge {
     #[inline(always)]
     fn for_each_touch(law: Harmonic, view: &View<VertexEdgeList>, particle: usize, mut visit: impl FnMut(Touch)) {
         let points = view.particles.bodies.points(particle);
-        for point in points.clone() {
-            let here = point - points.start;
-            for &[a, b] in view.lists.edges.row(point) {
-                let from_a = view.displacement(point as u32, a);
-                let along = view.displacement(b, a);
-                for_each_part(law.delta, from_a, along, |sign, _, d, length| {
-                    visit(touch(law, sign, [(here, 1.0), (here, 0.0)], a, d, length));
-                });
-            }
-            let next = if point + 1 < points.end { point + 1 } else { points.start };
-            let ends = [here, next - points.start];
-            let vertices = view.lists.vertices.row(point);
-            if vertices.is_empty() {
-                continue;
-            }
-            let along = view.displacement(next as u32, point as u32);
-            for &vertex in vertices {
-                let from_a = view.displacement(vertex, point as u32);
-                for_each_part(law.delta, from_a, along, |sign, t, d, length| {
-                    let ours = [(ends[0], 1.0 - t), (ends[1], t)];
-                    visit(touch(law, sign, ours, vertex, [-d[0], -d[1]], length));
-                });
-            }
+        let near = view.lists.near(particle);
+        let after = |i: usize| if i + 1 < points.len() { i + 1 } else { 0 };
+        for &[i, e] in near.edges {
+            let here = i as usize;
+            let [a, b] = [near.points[e as usize], near.points[e as usize + 1]];
+            let from_a = view.displacement((points.start + here) as u32, a);
+            let along = view.displacement(b, a);
+            for_each_part(law.delta, from_a, along, |sign, t, d, length| {
+                let (ours, theirs) = ([(here, 1.0), (here, 0.0)], [(a, 1.0 - t), (b, t)]);
+                let slide = if is_inside(t) { Slide::Theirs(along) } else { Slide::None };
+                visit(touch(law, sign, ours, theirs, slide, d, length));
+            });
         }
+        for &[i, v] in near.vertices {
+            let (here, vertex) = (i as usize, near.points[v as usize]);
+            let start = (points.start + here) as u32;
+            let along = view.displacement((points.start + after(here)) as u32, start);
+            let from_a = view.displacement(vertex, start);
+            for_each_part(law.delta, from_a, along, |sign, t, d, length| {
+                let (ours, theirs) = ([(here, 1.0 - t), (after(here), t)], [(vertex, 1.0), (vertex, 0.0)]);
+                let slide = if is_inside(t) { Slide::Ours(along) } else { Slide::None };
+                visit(touch(law, sign, ours, theirs, slide, [-d[0], -d[1]], length));
+            });
+        }
+    }
+
+    fn narrow(law: Harmonic, pbox: &PeriodicBox, particles: &Particles, list: &mut VertexEdgeList, travel: f64) {
+        list.narrow(pbox, particles, law.delta, travel);
+    }
+
+    fn forces_and_lightened(
+        model: &Deformable<Self>,
+        view: &View<VertexEdgeList>,
+        particles: Range<usize>,
+        forces: &mut [Vec2],
+        lightened: &mut [Vec2],
+    ) {
+        lanes::run(OutlineForces { model, view, particles, forces, lightened });
     }
 }

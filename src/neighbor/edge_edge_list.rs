@@ -19,7 +19,7 @@ pub struct EdgeEdgeList {
 impl EdgeEdgeList {
     /// All pairs of edges closer than `range`; crossing ones are at distance zero.
     pub fn new(candidates: &Candidates, range: f64) -> Self {
-        let cells = EdgeCells::new(candidates, range, 2.0);
+        let cells = EdgeCells::new(candidates, range);
         let particles = candidates.particles;
         let edges = cells.rows_of_own_edges(|own, found| {
             cells.by_midpoint.for_each_near(cells.midpoints[own.ends[0] as usize], |e| {

@@ -3,12 +3,17 @@
 mod cell_list;
 mod disk_list;
 mod edge_edge_list;
+mod near_touches;
+mod outline_frame;
+mod outlines;
 mod vertex_edge_list;
 
 pub use cell_list::CellList;
 pub use disk_list::DiskList;
 pub use edge_edge_list::{EdgeEdgeList, EdgePair};
-pub use vertex_edge_list::VertexEdgeList;
+pub use near_touches::{NearTouches, Touching};
+pub use outline_frame::OutlineFrame;
+pub use vertex_edge_list::{Near, VertexEdgeList};
 
 use crate::geometry::{Frac, PeriodicBox, Region, Vec2, norm, scale};
 use crate::particles::Particles;
@@ -86,20 +91,17 @@ struct Edge {
     index: u32,
 }
 
-/// The edges and vertices of all candidate polygons, binned.
+/// The edges of all candidate polygons, binned.
 struct EdgeCells<'a> {
     candidates: &'a Candidates<'a>,
     edges: Vec<Edge>,
     midpoints: Vec<Frac>,
     by_midpoint: CellList,
-    /// Length of the longest edge.
-    longest: f64,
 }
 
 impl<'a> EdgeCells<'a> {
-    /// Bins all edges so that every edge within `range` of a vertex is found from that vertex.
-    /// `extra` widens the search by a multiple of half the longest edge.
-    fn new(candidates: &'a Candidates<'a>, range: f64, extra: f64) -> Self {
+    /// Bins all edges so that every edge within `range` of one is found from that.
+    fn new(candidates: &'a Candidates<'a>, range: f64) -> Self {
         let Candidates { pbox, particles, .. } = candidates;
         let n = particles.position.len();
         let mut edges = threads::collect(n, |_| Edge { ends: [0; 2], particle: 0, index: 0 });
@@ -121,9 +123,9 @@ impl<'a> EdgeCells<'a> {
         };
         let chunks = particles.bodies.chunks(particles.len());
         let longest = threads::fold(&chunks, &mut edges, &mut midpoints, &work, &f64::max).unwrap_or(0.0);
-        let reach = range + 0.5 * extra * longest;
+        let reach = range + longest;
         let by_midpoint = CellList::new(pbox, &candidates.region, &midpoints, reach);
-        EdgeCells { candidates, edges, midpoints, by_midpoint, longest }
+        EdgeCells { candidates, edges, midpoints, by_midpoint }
     }
 
     fn vector(&self, edge: &Edge) -> Vec2 {
@@ -147,7 +149,7 @@ impl<'a> EdgeCells<'a> {
         Rows::concatenated(parts)
     }
 
-    /// Sort key of an edge or vertex: global id of its particle, then its index there.
+    /// Sort key of an edge: global id of its particle, then its index there.
     fn order(&self, edge: &Edge) -> u64 {
         (self.candidates.particles.id[edge.particle as usize] as u64) << 32 | edge.index as u64
     }

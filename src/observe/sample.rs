@@ -1,4 +1,4 @@
-use super::{Contacts, PackingFraction, Rattlers, Shape, ShapeParameter};
+use super::{Contacts, Moduli, PackingFraction, Rattlers, Shape, ShapeParameter, Stability, VoidStatistics, Voids};
 use crate::engine::{Energies, EngineError, System};
 use crate::minimize::Report;
 use crate::model::Model;
@@ -16,6 +16,8 @@ pub struct Sample {
     pub n_rattlers: u64,
     /// z = 2 N_c/N′
     pub contact_number: f64,
+    /// Rattlers count as particles.
+    pub voids: VoidStatistics,
     /// Means over all particles; the three are equal for disks.
     pub shape_parameter: ShapeParameter,
     /// Root mean square of a/a₀ − 1 over deformable particles; 1 − Σa/Σa₀ of disks, the part of their areas lost in
@@ -26,6 +28,10 @@ pub struct Sample {
     /// What the minimisation of this state cost.
     pub iterations: u64,
     pub force_evaluations: u64,
+    /// Simple shear strain since the compression ended.
+    pub strain: f64,
+    /// Elastic moduli, if they were asked for.
+    pub moduli: Option<Moduli>,
     /// Where this packing jams, if that is known.
     pub onset: Option<OnsetBracket>,
 }
@@ -65,8 +71,10 @@ impl Sample {
         let contacts = Contacts::of(system, rattlers)?;
         let shapes: Vec<Shape> = system.outlines()?.iter().map(Shape::of).collect();
         let terms = system.terms()?;
+        let density = PackingFraction::of(system, &shapes)?;
         let sample = Sample {
-            density: PackingFraction::of(&system.comm, &shapes, system.pbox().area()),
+            density,
+            voids: Voids::of(system, &[], Some(density.packing_fraction))?.statistics,
             energies: system.energies()?,
             n_particles: contacts.n_particles,
             n_contacts: contacts.n_contacts,
@@ -77,6 +85,8 @@ impl Sample {
             max_force: report.max_force,
             iterations: report.iterations,
             force_evaluations: report.force_evaluations,
+            strain: 0.0,
+            moduli: None,
             onset: None,
         };
         let per_area = |(t, s): (&crate::model::Terms, &Shape)| {
@@ -98,23 +108,35 @@ impl Sample {
         self.energies.pressure()
     }
 
+    /// −Σ_xy = (dU/dγ)/A: rises with the strain γ.
+    pub fn shear_stress(&self) -> f64 {
+        -self.energies.virial[1]
+    }
+
     /// All numbers by the names that files give them.
     pub fn scalars(&self) -> Vec<(&'static str, f64)> {
         let mut named = vec![
             ("reduced_number_density", self.density.reduced_number_density),
             ("packing_fraction", self.density.packing_fraction),
             ("packing_fraction_double_counted", self.density.double_counted),
-            ("n_not_convex", self.density.n_not_convex as f64),
             ("energy_total", self.energies.total),
             ("energy_line", self.energies.line),
             ("energy_area", self.energies.area),
             ("energy_contact", self.energies.contact),
             ("pressure", self.pressure()),
+            ("shear_stress", self.shear_stress()),
+            ("strain", self.strain),
             ("stress_mismatch", self.energies.stress_mismatch()),
             ("n_particles", self.n_particles as f64),
             ("n_contacts", self.n_contacts as f64),
             ("n_rattlers", self.n_rattlers as f64),
             ("contact_number", self.contact_number),
+            ("n_voids", self.voids.n_voids as f64),
+            ("voids_3_sided", self.voids.fractions()[0]),
+            ("voids_4_sided", self.voids.fractions()[1]),
+            ("voids_5_sided", self.voids.fractions()[2]),
+            ("voids_6_sided", self.voids.fractions()[3]),
+            ("void_shape_parameter_3_sided", self.voids.border_shape_parameter),
             ("shape_parameter_polygon", self.shape_parameter.polygon),
             ("shape_parameter_relative", self.shape_parameter.relative),
             ("shape_parameter_shell", self.shape_parameter.shell),
@@ -123,6 +145,16 @@ impl Sample {
             ("iterations", self.iterations as f64),
             ("force_evaluations", self.force_evaluations as f64),
         ];
+        if let Some(moduli) = &self.moduli {
+            named.extend([
+                ("shear_modulus", moduli.shear_modulus.linear_response),
+                ("shear_modulus_affine", moduli.shear_modulus.affine),
+                ("pure_shear_modulus", moduli.pure_shear_modulus.linear_response),
+                ("mean_shear_modulus", moduli.mean_shear_modulus),
+                ("bulk_modulus", moduli.bulk_modulus.linear_response),
+                ("moduli_are_stable", (moduli.stability == Stability::Stable) as u8 as f64),
+            ]);
+        }
         if let Some(bracket) = self.onset {
             named.extend([("onset_density", bracket.onset), ("unjammed_density", bracket.unjammed)]);
         }

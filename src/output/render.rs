@@ -111,25 +111,34 @@ pub fn write_plot(path: &Path, series: &[(String, Vec<f64>)]) -> Result<(), Outp
 
 /// The panels of the plot of a run.
 fn run_axes(series: &[(String, Vec<f64>)]) -> Vec<Axes> {
-    const PANELS: [(&str, &str); 4] = [
+    const COMPRESSION: [(&str, &str); 5] = [
         ("contact_number", "contact number z"),
         ("pressure", "pressure p"),
         ("shape_parameter_relative", "shape parameter"),
         ("packing_fraction", "packing fraction"),
+        ("mean_shear_modulus", "shear modulus G"),
     ];
+    const SHEAR: [(&str, &str); 2] = [("shear_stress", "shear stress"), ("contact_number", "contact number z")];
     let find = |name: &str| series.iter().find(|(n, _)| n == name).map(|(_, values)| values);
-    let Some(density) = find("density") else { return Vec::new() };
-    let panel = |(name, label): &(&str, &str)| {
+    let (Some(density), Some(strain)) = (find("density"), find("strain")) else { return Vec::new() };
+    let compressed = strain.iter().take_while(|&&strain| strain == 0.0).count();
+    let panel = |x: &[f64], x_label: &str, first: usize, (name, label): (&str, &str)| {
         let values = find(name)?;
-        let points = density.iter().zip(values).map(|(&x, &y)| [x, y]).collect();
+        let points = x.iter().zip(&values[first..]).map(|(&x, &y)| [x, y]).collect();
         Some(Axes {
-            x_label: "density".to_owned(),
-            y_label: (*label).to_owned(),
+            x_label: x_label.to_owned(),
+            y_label: label.to_owned(),
             series: vec![Series { points, line: true, ..Series::default() }],
             ..Axes::default()
         })
     };
-    PANELS.iter().filter_map(panel).collect()
+    let mut axes: Vec<Axes> =
+        COMPRESSION.iter().filter_map(|&quantity| panel(&density[..compressed], "density", 0, quantity)).collect();
+    if compressed < strain.len() {
+        let first = compressed.saturating_sub(1);
+        axes.extend(SHEAR.iter().filter_map(|&quantity| panel(&strain[first..], "shear strain", first, quantity)));
+    }
+    axes
 }
 
 /// Writes a figure as the ending of the file name says.
@@ -186,9 +195,18 @@ mod tests {
         assert!(std::fs::read(path("a.png")).unwrap().starts_with(b"\x89PNG"));
         assert!(draw("a.pdf").unwrap_err().to_string().contains(".svg or .png"));
         assert!(draw("none/a.svg").unwrap_err().to_string().contains("check the path"));
-        let series = [("density", vec![0.8, 0.9]), ("pressure", vec![0.0, 0.1]), ("contact_number", vec![4.0, 4.5])];
+        let series = [
+            ("density", vec![0.8, 0.9, 0.9]),
+            ("strain", vec![0.0, 0.0, 0.1]),
+            ("pressure", vec![0.0, 0.1, 0.2]),
+            ("shear_stress", vec![0.0, 0.1, 0.3]),
+            ("contact_number", vec![4.0, 4.5, 4.6]),
+        ];
         let series = series.map(|(name, values)| (name.to_owned(), values));
-        assert_eq!(run_axes(&series).len(), 2);
+        let axes = run_axes(&series);
+        assert_eq!(axes.len(), 4);
+        assert_eq!(axes[1].series[0].points, [[0.8, 0.0], [0.9, 0.1]]);
+        assert_eq!(axes[2].series[0].points, [[0.0, 0.1], [0.1, 0.3]]);
         write_plot(&path("plot.svg"), &series).unwrap();
         write_plot(&path("empty.svg"), &[]).unwrap();
     }

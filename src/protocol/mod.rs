@@ -5,10 +5,12 @@
 mod compression;
 mod initial;
 mod onset;
+mod shear;
 
 pub use compression::{Increments, compress_to};
 pub use initial::{Species, deformable_particles, random_disks};
 pub use onset::{Onset, OnsetSearch, find_onset};
+pub use shear::{quasi_static_shear_modulus, shear_by};
 
 use crate::engine::EngineError;
 use crate::minimize::Report;

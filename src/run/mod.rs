@@ -1,4 +1,4 @@
-//! A scene from beginning to end: random start, onset search, compression, and what is kept of it.
+//! A scene from beginning to end: random start, onset search, compression, shear, and what is kept of it.
 
 pub mod drawing;
 mod progress;
@@ -11,9 +11,9 @@ use crate::engine::{EngineError, System};
 use crate::failure::Failure;
 use crate::minimize::{Fire, Minimizer, Report};
 use crate::model::{EdgeEdge, Model, VertexEdge};
-use crate::observe::{OnsetBracket, Rattlers, Sample, check_no_crossing};
+use crate::observe::{Moduli, OnsetBracket, Rattlers, Sample, check_no_crossing};
 use crate::output::Folder;
-use crate::protocol::{Onset, compress_to, find_onset};
+use crate::protocol::{Onset, compress_to, find_onset, shear_by};
 use crate::scene::{Contact, Method, Physics, Scene};
 use progress::Progress;
 use records::Records;
@@ -49,7 +49,7 @@ fn keep<M: Model>(
     let folder = Folder::prepare(&system.comm, directory).map_err(|e| Failure::Input(e.to_string()))?;
     let mut progress = Progress::new(speaks && system.comm.is_root());
     let mut records = Records::create(&system, scene, &folder)?;
-    let outcome = onset_and_compression(&mut system, minimizer, scene, &mut records, &mut progress);
+    let outcome = protocol(&mut system, minimizer, scene, &mut records, &mut progress);
     progress.finish();
     let kept = records.finish(&mut system, scene, &folder, outcome.as_ref().err());
     match outcome {
@@ -61,8 +61,9 @@ fn keep<M: Model>(
     }
 }
 
-/// The protocol: a sample at the onset, then at each density of the scene, every one force-balanced and uncrossed.
-fn onset_and_compression<M: Model>(
+/// The protocol: a sample at the onset, then at each density and at each shear strain of the scene, every one
+/// force-balanced and uncrossed.
+fn protocol<M: Model>(
     system: &mut System<M>,
     minimizer: &impl Minimizer,
     scene: &Scene,
@@ -77,24 +78,43 @@ fn onset_and_compression<M: Model>(
         progress.state("onset", density, energies.pressure() / scene.pressure_unit(), report.iterations);
     })?;
     records.set_onset(onset);
-    sample(system, &last, &onset, records)?;
+    let mut state = State { scene, onset, strain: 0.0 };
+    sample(system, &last, state, records)?;
     for density in scene.compression.samples(onset.density) {
         let report = compress_to(system, minimizer, &goal, density)?;
-        let pressure = sample(system, &report, &onset, records)?;
+        let pressure = sample(system, &report, state, records)?;
         progress.state("compression", density, pressure / scene.pressure_unit(), report.iterations);
     }
+    for strain in scene.shear.strains() {
+        let report = shear_by(system, minimizer, &goal, strain - state.strain)?;
+        state.strain = strain;
+        let pressure = sample(system, &report, state, records)?;
+        progress.state("shear", system.density()?, pressure / scene.pressure_unit(), report.iterations);
+    }
     Ok(())
+}
+
+/// What a sample cannot see of its state.
+#[derive(Clone, Copy)]
+struct State<'a> {
+    scene: &'a Scene,
+    onset: Onset,
+    strain: f64,
 }
 
 /// Measures the present state and appends it to the results; answers its pressure.
 fn sample<M: Model>(
     system: &mut System<M>,
     report: &Report,
-    onset: &Onset,
+    State { scene, onset, strain }: State,
     records: &mut Records,
 ) -> Result<f64, Failure> {
     refuse_crossings(system)?;
     let (mut sample, columns) = Sample::measure(system, report, Rattlers::default())?;
+    sample.strain = strain;
+    if scene.measure.moduli {
+        sample.moduli = Some(Moduli::of(system)?);
+    }
     sample.onset = Some(OnsetBracket { onset: onset.density, unjammed: onset.unjammed });
     let density = system.density()?;
     records.append(system, density, sample, &columns)?;

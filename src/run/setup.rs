@@ -63,9 +63,12 @@ struct Boxes {
 impl Boxes {
     fn new(scene: &Scene, species: &[Species], delta: f64) -> Self {
         let covered: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(delta)).sum();
+        let smallest = PeriodicBox::square((covered / largest_density(scene)).sqrt());
+        // tilted by half its edge, a box is as narrow as shear makes it
+        let tilt = scene.shear.until.min(0.5);
         Boxes {
             start: PeriodicBox::square((covered / scene.initial.packing_fraction).sqrt()),
-            smallest: PeriodicBox::square((covered / largest_density(scene)).sqrt()),
+            smallest: smallest.sheared(tilt),
         }
     }
 }

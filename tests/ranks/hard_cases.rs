@@ -4,11 +4,13 @@
 use crate::harness::Outcome;
 use crate::systems::*;
 use jamhpc::comm::Comm;
-use jamhpc::engine::System;
+use jamhpc::engine::{EngineError, System};
 use jamhpc::geometry::{PeriodicBox, Vec2, norm};
 use jamhpc::minimize::{Fire, Minimizer};
 use jamhpc::model::{Contact, Deformable, DeformableParameters, EdgeEdge, Harmonic, VertexEdge};
-use jamhpc::protocol::{Species, deformable_particles};
+use jamhpc::observe::{Contacts, Rattlers, Spectrum, check_no_crossing};
+use jamhpc::particles::{Bodies, Particles};
+use jamhpc::protocol::{OnsetSearch, Species, compress_to, deformable_particles, find_onset};
 
 const EDGE: f64 = 10.0;
 
@@ -194,5 +196,165 @@ pub fn empty_subdomains(comm: Comm) -> Outcome {
     let minimized = Fire.minimize(&mut system, &goal).unwrap();
     let mut outcome = describe(&mut system);
     outcome.push(format!("{:?}", minimized.report()));
+    outcome
+}
+
+/// U_int of two outlines, worked out by hand: each vertex within reach of the other outline counts once,
+/// φ(d) = ε/2 (1 − d/δ)² at its distance from it; inside a notch once for each flank. Forces between the two cancel.
+pub fn known_energies(mut comm: Comm) -> Outcome {
+    let law = Harmonic { epsilon: 1.0, delta: DELTA };
+    let gap = 0.6 * DELTA;
+    // inside the notch of `notched`: the tip touches its two flanks, which rise by 2 in 1, and nothing else does
+    let tip = vec![[0.0, -0.3 + 0.1], [0.2, 0.9], [-0.2, 0.9]];
+    // distance of (0, −0.2) from the flank: |0.4·0.1|/√(0.4² + 0.8²)
+    let to_flank = 0.4 * 0.1 / 0.4f64.hypot(0.8);
+    let mut collapsed = square([0.0, 0.0], 0.5);
+    collapsed.insert(2, [0.5, 0.5 - 1e-9]);
+    // name, outlines, distances of the touches
+    let cases = [
+        // slid, so that one corner of each stands before the facet of the other
+        ("parallel facets", vec![square([0.0, 0.0], 0.5), square([1.0 + gap, 0.3], 0.5)], vec![gap; 2]),
+        ("face to face", vec![square([0.0, 0.0], 0.5), square([1.0 + gap, 0.0], 0.5)], vec![gap; 4]),
+        (
+            "vertex before vertex",
+            vec![regular(4, [0.0, 0.0], 0.5, 0.0), regular(4, [1.0 + gap, 0.0], 0.5, 0.0)],
+            vec![gap; 2],
+        ),
+        ("vertex on vertex", vec![regular(4, [0.0, 0.0], 0.5, 0.0), regular(4, [1.0, 0.0], 0.5, 0.0)], vec![0.0; 2]),
+        // the corners of the short edge are one corner as far as its length goes: both stand before the facet
+        ("collapsed edge", vec![collapsed, square([1.0 + gap, 0.3], 0.5)], vec![gap; 3]),
+        ("reflex notch", vec![notched(), tip], vec![to_flank; 2]),
+    ];
+    let mut outcome = Vec::new();
+    for (name, polygons, touches) in cases {
+        for at in [[0.0, 0.0], [0.5 * EDGE, 0.5 * EDGE], [3.1, 7.7]] {
+            let place = |v: &Vec2| [v[0] + at[0], v[1] + at[1]];
+            let placed: Vec<Vec<Vec2>> = polygons.iter().map(|p| p.iter().map(place).collect()).collect();
+            let mut system = system::<VertexEdge>(comm, PeriodicBox::square(EDGE), &placed);
+            let residual = system.max_force().unwrap();
+            let energy = system.energies().unwrap().contact;
+            let expected: f64 = touches.iter().map(|&d| law.energy(d)).sum();
+            let words = by_id(&system, force_words);
+            let total: Vec2 = words
+                .values()
+                .flat_map(|w| w.chunks_exact(2))
+                .fold([0.0; 2], |sum, f| [sum[0] + f64::from_bits(f[0]), sum[1] + f64::from_bits(f[1])]);
+            if system.comm.is_root() {
+                println!("{name} at {at:?}: U_int {energy:e}, by hand {expected:e}, max|F| {residual:e}");
+                assert!(norm(total) < 1e-12, "{name}: the forces sum up to {total:?}");
+            }
+            assert!((energy - expected).abs() < 1e-7 * expected, "{name} at {at:?}: {energy} instead of {expected}");
+            // γ at both edges of a corner, the pressure of areas, and the touches
+            let bound = 2.0 + 10.0 * 2.0 + touches.len() as f64 * law.epsilon / law.delta;
+            assert!(residual.is_finite() && residual < bound, "{name}: {residual}");
+            outcome.extend(describe(&mut system));
+            comm = system.comm;
+        }
+    }
+    outcome
+}
+
+/// Two 48-gons pushed together relax to force balance, also across the corner of the box and among four subdomains.
+pub fn relaxed_pair_of_48(mut comm: Comm) -> Outcome {
+    let mut outcome = Vec::new();
+    for at in [[0.0, 0.0], [0.5 * EDGE, 0.5 * EDGE]] {
+        let place = |x: f64| regular(48, [at[0] + x, at[1] + 0.01], 0.8, 0.1);
+        let mut system = system::<VertexEdge>(comm, PeriodicBox::square(EDGE), &[place(-0.8), place(0.85)]);
+        let minimized = Fire.minimize(&mut system, &goal(1e-8, 200_000)).unwrap();
+        let residual = system.max_force().unwrap();
+        let contact = system.energies().unwrap().contact;
+        println!("two 48-gons at {at:?}: max|F| {residual:e}, U_int {contact:e}, {:?}", minimized.report());
+        assert!(minimized.is_converged() && residual <= 1e-8, "{minimized:?}");
+        // nothing holds them together: they end just out of reach
+        assert!(contact < 1e-6, "{contact}");
+        outcome.extend(describe(&mut system));
+        comm = system.comm;
+    }
+    outcome
+}
+
+/// Compressed to ρ = 0.995, far beyond confluence of the facets: every state converges and none crosses.
+pub fn deep_compression(comm: Comm) -> Outcome {
+    const THIN: f64 = 0.05;
+    let species = polygon_species(12);
+    let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(THIN)).sum();
+    let pbox = unit_box(0.0).with_area(area / 0.7);
+    let (comm, polygons) = deformable_particles(comm, pbox, &species, 1, THIN).unwrap();
+    let usual = polygon_parameters();
+    let k_area = 3.0 * usual.k_area;
+    let parameters = DeformableParameters {
+        k_area,
+        contact: Harmonic { epsilon: 0.01 * k_area * species[1].size * species[1].size, delta: THIN },
+        ..usual
+    };
+    let model = Deformable::<VertexEdge>::new(parameters);
+    let mut system = System::new(comm, model, pbox, &pbox.with_area(area), polygons, 0.1).unwrap();
+    let mut outcome = Vec::new();
+    for density in [0.8, 0.85, 0.88, 0.9, 0.92, 0.94, 0.95, 0.96, 0.97, 0.98, 0.985, 0.99, 0.995] {
+        let report = compress_to(&mut system, &Fire, &goal(1e-2, 1_000_000), density).unwrap();
+        assert_eq!(check_no_crossing(&mut system).unwrap(), None, "at {density}");
+        let (pressure, reached) = (system.energies().unwrap().pressure(), system.density().unwrap());
+        println!("rho {reached:.5}: P {pressure:e}, max|F| {:e}, {} iterations", report.max_force, report.iterations);
+        outcome.push(format!("{density} {} {report:?}", hex(&[pressure])));
+    }
+    // shells that overlap are counted twice, so that the density is near its aim and not at it
+    assert!((system.density().unwrap() - 0.995).abs() < 5e-3);
+    outcome.extend(describe(&mut system));
+    outcome
+}
+
+/// At the onset, where modes are marginal: balanced to 10⁻¹³, isostatic when rattlers are left out, and no mode
+/// negative; those of no stiffness are the two shifts and the motions of rattlers.
+pub fn onset_itself(comm: Comm) -> Outcome {
+    let mut system = random_sp(comm, 48, unit_box(0.0), 0.2, 0.95);
+    let search = OnsetSearch { step: 0.01, smallest_step: 1e-12, pressure: [1e-10, 1e-8] };
+    let found = find_onset(&mut system, &Fire, &goal(1e-13, 1_000_000), &search, |_, _, _| ()).unwrap();
+    let residual = system.max_force().unwrap();
+    assert!(residual <= 1e-13, "{residual}");
+    let contacts = Contacts::of(&mut system, Rattlers::default()).unwrap();
+    println!("{found:?}, {} rattlers, {} contacts, max|F| {residual:e}", contacts.n_rattlers, contacts.n_contacts);
+    assert_eq!(contacts.n_contacts, 2 * contacts.n_backbone() - 1);
+    let spectrum = Spectrum::of(&mut system).unwrap().unwrap();
+    assert_eq!(spectrum.n_negative, 0);
+    let mut outcome = vec![format!("{found:?} {} {}", contacts.n_contacts, contacts.n_rattlers)];
+    if system.comm.is_root() {
+        assert!(spectrum.n_zero >= 2, "{spectrum:?}");
+        outcome.push(format!("{} modes of no stiffness", spectrum.n_zero));
+    }
+    outcome.extend(describe(&mut system));
+    outcome
+}
+
+/// Two triangles of disks with an edge in common, a tail of two more and one alone: what counts as a rattler decides
+/// how far the packing is taken apart.
+pub fn rattlers(comm: Comm) -> Outcome {
+    let pbox = PeriodicBox::square(EDGE);
+    let at = [[4.0, 4.0], [4.9, 4.0], [4.45, 4.78], [5.35, 4.78], [6.25, 4.78], [7.15, 4.78], [1.0, 8.0]];
+    let mut disks = Particles::empty(&Bodies::Disks);
+    if comm.is_root() {
+        at.iter().enumerate().for_each(|(id, &x)| disks.push(id as u32, 1.0, &[pbox.frac(x)]));
+    }
+    let mut system = System::new(comm, DISKS, pbox, &pbox, disks, 0.3).unwrap();
+    for (fewer_than, left) in [(1, 6), (2, 4), (3, 0)] {
+        let contacts = Contacts::of(&mut system, Rattlers { fewer_than }).unwrap();
+        println!("fewer than {fewer_than}: {} rattlers, {} contacts", contacts.n_rattlers, contacts.n_contacts);
+        assert_eq!(contacts.n_backbone(), left, "fewer than {fewer_than}");
+    }
+    describe(&mut system)
+}
+
+/// A state with crossed outlines is refused by name, wherever they cross.
+pub fn crossed_outlines(mut comm: Comm) -> Outcome {
+    let mut outcome = Vec::new();
+    for at in [[0.0, 0.0], [0.5 * EDGE, 0.5 * EDGE], [2.0, 7.0]] {
+        let polygons = [[3.0, 3.0], [0.0, 0.0], [0.9, 0.1]].map(|c: Vec2| square([at[0] + c[0], at[1] + c[1]], 0.5));
+        let mut system = system::<VertexEdge>(comm, PeriodicBox::square(EDGE), &polygons);
+        let crossing = check_no_crossing(&mut system).unwrap();
+        assert_eq!(crossing, Some((1, 2)));
+        let message = EngineError::Crossing(1, 2).to_string();
+        assert!(message.contains("particles 1 and 2 cross"), "{message}");
+        outcome.push(format!("{crossing:?} {message}"));
+        comm = system.comm;
+    }
     outcome
 }

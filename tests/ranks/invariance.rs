@@ -7,6 +7,7 @@ use jamhpc::engine::System;
 use jamhpc::geometry::PeriodicBox;
 use jamhpc::minimize::{Fire, Goal, Minimizer};
 use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
+use jamhpc::observe::{Contacts, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
 use jamhpc::protocol::{OnsetSearch, compress_to, find_onset};
 
 pub fn forces_sp(comm: Comm) -> Outcome {
@@ -94,4 +95,45 @@ pub fn onset_dp(comm: Comm) -> Outcome {
     let system: System<Deformable<VertexEdge>> = random_dp(comm, 128, unit_box(0.0), 0.7, 0.95);
     let goal = goal(1e-2, 100_000);
     onset(system, &goal, &OnsetSearch { step: 0.02, smallest_step: 1e-6, pressure: [0.1, 0.5] })
+}
+
+/// The packing fraction and all voids of a state, with and without rattlers, to the last bit.
+fn voids<M: Model>(system: &mut System<M>) -> Outcome {
+    let shapes: Vec<Shape> = system.outlines().unwrap().iter().map(Shape::of).collect();
+    let density = PackingFraction::of(system, &shapes).unwrap();
+    let contacts = Contacts::of(system, Rattlers::default()).unwrap();
+    let removed = rattler_ids(system, &contacts);
+    let all = Voids::of(system, &[], Some(density.packing_fraction)).unwrap();
+    let some = Voids::of(system, &removed, None).unwrap();
+    let mut lines = vec![
+        hex(&[density.packing_fraction, density.double_counted]),
+        format!("{removed:?} {:?} {:?}", all.statistics, some.statistics),
+    ];
+    for void in all.list.iter().chain(&some.list) {
+        lines.push(format!(
+            "{} {} {} {}",
+            void.sides,
+            void.islands,
+            void.percolates,
+            hex(&[void.area, void.perimeter])
+        ));
+    }
+    lines
+}
+
+pub fn voids_sp(comm: Comm) -> Outcome {
+    let mut system = random_sp(comm, 256, unit_box(0.2), 0.6, 0.9);
+    let mut outcome = voids(&mut system); // random: deep overlaps, nothing percolates
+    system.deform(system.pbox().with_area(system.pbox().area() * 0.6 / 0.88));
+    assert!(Fire.minimize(&mut system, &goal(1e-10, 100_000)).unwrap().is_converged());
+    outcome.extend(voids(&mut system));
+    outcome
+}
+
+pub fn voids_dp(comm: Comm) -> Outcome {
+    let mut system = random_dp::<VertexEdge>(comm, 64, unit_box(0.1), 0.5, 0.95);
+    let mut outcome = voids(&mut system); // one void with many islands
+    compress_to(&mut system, &Fire, &goal(1e-3, 50_000), 0.9).unwrap();
+    outcome.extend(voids(&mut system));
+    outcome
 }

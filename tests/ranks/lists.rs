@@ -79,6 +79,13 @@ impl Outlines<'_> {
     }
 }
 
+/// Particle and vertex of an own point.
+fn place_of(particles: &Particles, point: u32) -> (usize, u32) {
+    let holds = |&p: &usize| particles.bodies.points(p).contains(&(point as usize));
+    let particle = (0..particles.len()).find(holds).unwrap();
+    (particle, point - particles.bodies.points(particle).start as u32)
+}
+
 /// Vertices against edges and edges against edges, on polygons pressed into each other so that the lists are long.
 pub fn dp(mut comm: Comm) -> Outcome {
     const RANGE: f64 = DELTA + 0.1;
@@ -94,12 +101,16 @@ pub fn dp(mut comm: Comm) -> Outcome {
         for point in 0..particles.owned_points() as u32 {
             let own = name_of(particles, point);
             let others = || outlines.of_others(own.0);
-            let lists = system.view().lists;
-            let edges: Vec<_> =
-                lists.edges.row(point as usize).iter().map(|e| e.map(|p| name_of(particles, p))).collect();
+            let (particle, i) = place_of(particles, point);
+            let near = system.view().lists.near(particle);
+            let name = |place: u32| name_of(particles, near.points[place as usize]);
+            let of_point = |pairs: &'_ [[u32; 2]]| pairs.iter().filter(|pair| pair[0] == i).map(|p| p[1]).collect();
+            let edges: Vec<u32> = of_point(near.edges);
+            let edges: Vec<_> = edges.iter().map(|&e| [name(e), name(e + 1)]).collect();
+            let vertices: Vec<u32> = of_point(near.vertices);
+            let vertices: Vec<_> = vertices.iter().map(|&v| name(v)).collect();
             let near = others().filter(|&e| outlines.vertex_is_near(own, e, RANGE));
             assert_eq!(edges, near.map(|e| [e, outlines.next(e)]).collect::<Vec<_>>(), "edges near vertex {own:?}");
-            let vertices: Vec<_> = lists.vertices.row(point as usize).iter().map(|&v| name_of(particles, v)).collect();
             let near = others().filter(|&v| outlines.vertex_is_near(v, own, RANGE));
             assert_eq!(vertices, near.collect::<Vec<_>>(), "vertices near edge {own:?}");
         }

@@ -10,7 +10,9 @@ mod hard_cases;
 mod harness;
 mod invariance;
 mod lists;
+mod moduli;
 mod ownership;
+mod shear;
 mod systems;
 
 use harness::{Case, Start};
@@ -30,6 +32,10 @@ const RANKS_AND_THREADS: &[Start] = &[
     Start::new(1, 4),
     Start::new(2, 2),
 ];
+/// For cases whose work is mostly steps of a minimiser, which other cases try on every grid.
+const FEW: &[Start] = &[Start::new(1, 1), Start::new(2, 1), Start::new(4, 1), Start::new(2, 2)];
+/// One rank to four.
+const TO_FOUR: &[Start] = &[Start::new(1, 1), Start::new(2, 1), Start::new(3, 1), Start::new(4, 1)];
 const ONE_AND_FOUR: &[Start] = &[Start::new(1, 1), Start::new(4, 1)];
 
 fn main() -> std::process::ExitCode {
@@ -53,7 +59,20 @@ fn main() -> std::process::ExitCode {
         Case::new("fire_dp", invariance::fire_dp, RANKS_AND_THREADS),
         Case::new("onset_sp", invariance::onset_sp, RANKS_AND_THREADS),
         Case::new("onset_dp", invariance::onset_dp, RANKS_AND_THREADS),
+        Case::new("moduli_sp", moduli::sp, RANKS_AND_THREADS),
+        Case::new("moduli_dp", moduli::dp, FEW),
+        Case::new("shear_sp", shear::sp, RANKS),
+        Case::new("shear_dp", shear::dp, FEW),
+        Case::new("box_flip", shear::flip, ONE_AND_FOUR),
+        Case::new("voids_sp", invariance::voids_sp, TO_FOUR),
+        Case::new("voids_dp", invariance::voids_dp, TO_FOUR),
         Case::new("hard_cases", hard_cases::all, ONE_AND_FOUR),
+        Case::new("known_energies", hard_cases::known_energies, ONE_AND_FOUR),
+        Case::new("relaxed_pair_of_48", hard_cases::relaxed_pair_of_48, ONE_AND_FOUR),
+        Case::new("deep_compression", hard_cases::deep_compression, &[Start::new(1, 1), Start::new(2, 1)]),
+        Case::new("onset_itself", hard_cases::onset_itself, ONE_AND_FOUR),
+        Case::new("rattlers", hard_cases::rattlers, ONE_AND_FOUR),
+        Case::new("crossed_outlines", hard_cases::crossed_outlines, ONE_AND_FOUR),
         Case::new("area_ratio_80", hard_cases::area_ratio_80, ONE_AND_FOUR),
         Case::new("empty_subdomains", hard_cases::empty_subdomains, RANKS),
         Case::new("force_noise_sp", fixed_point::force_noise_sp, &[Start::new(1, 1)]),

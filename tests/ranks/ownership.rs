@@ -156,7 +156,7 @@ where
             named.lock().unwrap().insert(point);
         }
     });
-    named
+    named.into_inner().unwrap()
 }
 
 pub fn halo_sp(comm: Comm) -> Outcome {

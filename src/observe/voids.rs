@@ -1,0 +1,693 @@
+use super::Contacts;
+use super::outlines::{Chain, Outlines, Thickness, nearest_pairs};
+use crate::engine::{EngineError, System};
+use crate::geometry::{Frac, PeriodicBox, Region, Vec2, add, cross, norm};
+use crate::model::Model;
+use crate::neighbor::CellList;
+use std::f64::consts::PI;
+
+/// A connected part of the box that no particle covers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Void {
+    /// Different particles along its outer boundary; of a percolating one, along its whole boundary.
+    pub sides: u32,
+    pub area: f64,
+    /// Length of its whole boundary, islands included.
+    pub perimeter: f64,
+    /// Clusters of particles that float in it.
+    pub islands: u32,
+    /// It is connected with a periodic image of itself, or nothing encloses it.
+    pub percolates: bool,
+}
+
+impl Void {
+    /// p²/4πa
+    pub fn shape_parameter(&self) -> f64 {
+        self.perimeter * self.perimeter / (4.0 * PI * self.area)
+    }
+
+    /// A gap between fewer than three particles is no void: where two shells face each other with uneven overlap, it
+    /// lies inside one contact.
+    fn is_sliver(&self) -> bool {
+        self.sides < 3 && !self.percolates
+    }
+}
+
+/// The voids of a state in numbers, the same on all ranks.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct VoidStatistics {
+    /// All voids, slivers left out.
+    pub n_voids: u64,
+    pub n_percolating: u64,
+    /// Gaps between fewer than three particles.
+    pub n_slivers: u64,
+    /// Areas of all voids and of all slivers; their sum is the area that particles leave.
+    pub area: f64,
+    pub sliver_area: f64,
+    /// Numbers of voids with 3, 4, 5, 6 and more than 6 sides, percolating ones left out.
+    pub with_sides: [u64; 5],
+    /// Means over the voids with 3 sides; 0 if there are none. `border_radius` is the r of three touching arcs that
+    /// enclose as much, a = (√3 − π/2) r²: the radius of a Plateau border.
+    pub border_shape_parameter: f64,
+    pub border_radius: f64,
+}
+
+impl VoidStatistics {
+    const WORDS: usize = 12;
+
+    fn of(voids: &[Void]) -> Self {
+        let sum = |of: &dyn Fn(&Void) -> f64| voids.iter().map(of).sum::<f64>();
+        let mut s = VoidStatistics {
+            sliver_area: sum(&|v| if v.is_sliver() { v.area } else { 0.0 }),
+            area: sum(&|v| if v.is_sliver() { 0.0 } else { v.area }),
+            ..VoidStatistics::default()
+        };
+        for void in voids {
+            if void.is_sliver() {
+                s.n_slivers += 1;
+                continue;
+            }
+            s.n_voids += 1;
+            if void.percolates {
+                s.n_percolating += 1;
+                continue;
+            }
+            s.with_sides[(void.sides.min(7) - 3) as usize] += 1;
+            if void.sides == 3 {
+                s.border_shape_parameter += void.shape_parameter();
+                s.border_radius += (void.area / (3.0f64.sqrt() - 0.5 * PI)).sqrt();
+            }
+        }
+        let n = s.with_sides[0].max(1) as f64;
+        s.border_shape_parameter /= n;
+        s.border_radius /= n;
+        s
+    }
+
+    /// P_l for l = 3, 4, 5, 6 and more: fractions of the voids that do not percolate; zeros without any.
+    pub fn fractions(&self) -> [f64; 5] {
+        let n = self.with_sides.iter().sum::<u64>().max(1) as f64;
+        self.with_sides.map(|k| k as f64 / n)
+    }
+
+    fn to_words(self) -> [u64; Self::WORDS] {
+        let [a, b, c, d, e] = self.with_sides;
+        let [f, g, h, i] =
+            [self.area, self.sliver_area, self.border_shape_parameter, self.border_radius].map(f64::to_bits);
+        [self.n_voids, self.n_percolating, self.n_slivers, a, b, c, d, e, f, g, h, i]
+    }
+
+    fn from_words(w: [u64; Self::WORDS]) -> Self {
+        let [area, sliver_area, border_shape_parameter, border_radius] = [w[8], w[9], w[10], w[11]].map(f64::from_bits);
+        VoidStatistics {
+            n_voids: w[0],
+            n_percolating: w[1],
+            n_slivers: w[2],
+            with_sides: [w[3], w[4], w[5], w[6], w[7]],
+            area,
+            sliver_area,
+            border_shape_parameter,
+            border_radius,
+        }
+    }
+}
+
+/// The voids of a state: connected parts of what the union of all particles (with their shells) leaves of the box.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Voids {
+    /// On rank 0, those with most sides first, then the largest; empty elsewhere. Slivers are left out.
+    pub list: Vec<Void>,
+    pub statistics: VoidStatistics,
+}
+
+impl Voids {
+    /// Of the particles whose global ids `removed` (ascending) does not hold. Collective.
+    ///
+    /// Every rank finds the outlines of its own particles, rank 0 links them: work and memory there are linear in the
+    /// number of particles. With no particle removed, the voids must fill what `packing_fraction` leaves of the box.
+    pub fn of<M: Model>(
+        system: &mut System<M>,
+        removed: &[u32],
+        packing_fraction: Option<f64>,
+    ) -> Result<Voids, EngineError> {
+        let thickness = Thickness::of(system);
+        let counts = |id: u32| removed.binary_search(&id).is_err();
+        let chains = system.with_whole_neighbors(|seen| Outlines::new(seen, thickness, counts).chains())?;
+        let mut words = Vec::new();
+        chains.iter().for_each(|chain| pack(chain, &mut words));
+        let parts = system.comm.gather(words);
+        let mut voids = Vec::new();
+        let mut outcome = [0; VoidStatistics::WORDS + 1];
+        if system.comm.is_root() {
+            let mut chains: Vec<Chain> = parts.iter().flat_map(|words| unpack(words)).collect();
+            // stable: the chains of one particle come from one rank, in their order
+            chains.sort_by_key(|chain| chain.id);
+            let found = Linked::new(system.pbox(), &chains, thickness.widest_gap()).map(|linked| linked.voids());
+            outcome[0] = found.is_some() as u64;
+            voids = found.unwrap_or_default();
+            outcome[1..].copy_from_slice(&VoidStatistics::of(&voids).to_words());
+        }
+        let outcome = system.comm.broadcast(outcome.iter().flat_map(|word| word.to_le_bytes()).collect());
+        let mut outcome = outcome.chunks_exact(8).map(|b| u64::from_le_bytes(std::array::from_fn(|k| b[k])));
+        let is_linked = outcome.next() == Some(1);
+        let words = std::array::from_fn(|_| outcome.next().unwrap_or_default());
+        let statistics = VoidStatistics::from_words(words);
+        let area = system.pbox().area();
+        let found = (statistics.area + statistics.sliver_area) / area;
+        let left = packing_fraction.map_or(found, |rho| 1.0 - rho);
+        if !is_linked || (found - left).abs() > 1e-12 {
+            return Err(EngineError::Voids { found, left });
+        }
+        voids.retain(|void| !void.is_sliver());
+        voids.sort_by(|a, b| b.sides.cmp(&a.sides).then(b.area.total_cmp(&a.area)));
+        Ok(Voids { list: voids, statistics })
+    }
+}
+
+/// Global ids of all rattlers on all ranks, ascending, on every rank: what to remove for the voids of the backbone.
+/// Collective. `contacts` must belong to the present state of `system`.
+pub fn rattler_ids<M: Model>(system: &System<M>, contacts: &Contacts) -> Vec<u32> {
+    let own = system.particles().id.iter().zip(&contacts.is_rattler);
+    let words = own.filter(|(_, is_rattler)| **is_rattler).map(|(&id, _)| id as u64).collect();
+    let mut ids = system.comm.gather(words).concat();
+    ids.sort_unstable();
+    // a message is never empty: after their number
+    let message = [ids.len() as u64].into_iter().chain(ids);
+    let bytes = system.comm.broadcast(message.flat_map(|word| (word as u32).to_le_bytes()).collect());
+    bytes.chunks_exact(4).skip(1).map(|b| u32::from_le_bytes(std::array::from_fn(|k| b[k]))).collect()
+}
+
+fn pack(chain: &Chain, words: &mut Vec<u64>) {
+    let place = |at: Frac| at.to_bits().map(|k| k as u64);
+    words.push(chain.id as u64 | (chain.is_closed as u64) << 32);
+    words.push(chain.after as u64 | (chain.before as u64) << 32);
+    words.extend(place(chain.start));
+    words.extend(place(chain.end));
+    words.extend([chain.reach[0], chain.reach[1], chain.length, chain.area].map(f64::to_bits));
+    words.push(chain.via.len() as u64);
+    words.extend(chain.via.iter().flat_map(|&at| place(at)));
+}
+
+fn unpack(words: &[u64]) -> Vec<Chain> {
+    let place = |w: &[u64]| Frac::from_bits([w[0] as i64, w[1] as i64]);
+    let mut chains = Vec::new();
+    let mut rest = words;
+    while let [head, ends, tail @ ..] = rest {
+        let number = |k: usize| f64::from_bits(tail[k]);
+        let (via, after) = tail[9..].split_at(2 * tail[8] as usize);
+        chains.push(Chain {
+            id: *head as u32,
+            is_closed: head >> 32 != 0,
+            after: *ends as u32,
+            before: (ends >> 32) as u32,
+            start: place(&tail[0..]),
+            end: place(&tail[2..]),
+            reach: [number(4), number(5)],
+            length: number(6),
+            area: number(7),
+            via: via.chunks_exact(2).map(place).collect(),
+        });
+        rest = after;
+    }
+    chains
+}
+
+/// A closed line of chains, the void on its right.
+struct Ring {
+    chains: Vec<usize>,
+    start: Frac,
+    /// From its start to its end: zero, or periods of the box if it winds around it.
+    reach: Vec2,
+    /// Those periods along the two box vectors.
+    winding: [i64; 2],
+    /// ½ ∮ r × dr about its start.
+    area: f64,
+    length: f64,
+}
+
+/// All chains, linked to rings.
+struct Linked<'a> {
+    pbox: &'a PeriodicBox,
+    chains: &'a [Chain],
+    rings: Vec<Ring>,
+}
+
+impl<'a> Linked<'a> {
+    /// Links every end with the start that follows it; nothing if some are left or lie farther apart than `widest`.
+    fn new(pbox: &'a PeriodicBox, chains: &'a [Chain], widest: f64) -> Option<Self> {
+        let next = successors(pbox, chains, widest)?;
+        let mut is_used = vec![false; chains.len()];
+        let mut rings = Vec::new();
+        for first in 0..chains.len() {
+            let mut ring = Ring {
+                chains: Vec::new(),
+                start: chains[first].start,
+                reach: [0.0; 2],
+                winding: [0; 2],
+                area: 0.0,
+                length: 0.0,
+            };
+            let mut at = first;
+            while !is_used[at] {
+                is_used[at] = true;
+                let chain = &chains[at];
+                ring.chains.push(at);
+                ring.area += 0.5 * cross(ring.reach, chain.reach) + chain.area;
+                ring.reach = add(ring.reach, chain.reach);
+                ring.length += chain.length;
+                at = next[at];
+                let gap = pbox.displacement(chains[at].start, chain.end);
+                ring.area += 0.5 * cross(ring.reach, gap);
+                ring.reach = add(ring.reach, gap);
+            }
+            if !ring.chains.is_empty() {
+                let rows = (ring.reach[1] / pbox.ly()).round();
+                let columns = ((ring.reach[0] - rows * pbox.xy()) / pbox.lx()).round();
+                ring.winding = [columns as i64, rows as i64];
+                rings.push(ring);
+            }
+        }
+        Some(Linked { pbox, chains, rings })
+    }
+
+    fn voids(&self) -> Vec<Void> {
+        let mut enclosed = Vec::new();
+        let mut islands = Vec::new();
+        let mut winding = Vec::new();
+        // an island is at least one particle; rounding may turn a ring without area around
+        let smallest = 1e-9 * self.rings.iter().map(|ring| ring.area).fold(0.0, f64::max);
+        for (k, ring) in self.rings.iter().enumerate() {
+            match () {
+                _ if ring.winding != [0, 0] => winding.push(k),
+                _ if ring.area > smallest => islands.push(k),
+                _ => enclosed.push(self.around(&[k])),
+            }
+        }
+        let strips = self.strips(&winding);
+        let mut found: Vec<Around> = enclosed.into_iter().chain(strips).collect();
+        let n_strips = found.iter().filter(|void| void.percolates).count();
+        let locator = Locator::new(self, &found);
+        let mut outside = Vec::new();
+        for &island in &islands {
+            let at = self.rings[island].start;
+            match locator.enclosing(self, &found, at) {
+                Some(void) => found[void].islands.push(island),
+                None => outside.push((island, at)),
+            }
+        }
+        if !outside.is_empty() && n_strips == 0 {
+            found.push(Around { rings: Vec::new(), islands: Vec::new(), area: self.pbox.area(), percolates: true });
+        }
+        let open: Vec<usize> = (0..found.len()).filter(|&k| found[k].percolates).collect();
+        for (island, at) in outside {
+            let surrounds = |&&k: &&usize| open.len() == 1 || self.surrounds(&found[k], at);
+            if let Some(&k) = open.iter().find(surrounds) {
+                found[k].islands.push(island);
+            }
+        }
+        found.iter().map(|void| self.measured(void)).collect()
+    }
+
+    /// What one ring encloses, or lies between two that wind around the box: area and boundary without islands.
+    fn around(&self, rings: &[usize]) -> Around {
+        let area = -self.signed_area(rings);
+        let percolates = rings.len() > 1;
+        let whole = self.pbox.area();
+        // between two rings any number of boxes may seem to lie
+        let area = if percolates { area - whole * ((area / whole).ceil() - 1.0) } else { area };
+        Around { rings: rings.to_vec(), islands: Vec::new(), area, percolates }
+    }
+
+    /// ½ ∮ r × dr along rings whose windings cancel, joined by straight lines that are walked both ways.
+    fn signed_area(&self, rings: &[usize]) -> f64 {
+        let (mut area, mut at, mut place) = (0.0, [0.0; 2], self.rings[rings[0]].start);
+        for &k in rings {
+            let ring = &self.rings[k];
+            let way = self.pbox.displacement(ring.start, place);
+            area += 0.5 * cross(at, way);
+            at = add(at, way);
+            place = ring.start;
+            area += 0.5 * cross(at, ring.reach) + ring.area;
+            at = add(at, ring.reach);
+        }
+        area
+    }
+
+    /// The voids between rings that wind around the box: from each the nearest one that winds the other way.
+    fn strips(&self, winding: &[usize]) -> Vec<Around> {
+        let forward = |w: [i64; 2]| w > [0, 0];
+        let ahead = winding.iter().filter(|&&k| forward(self.rings[k].winding));
+        let strip = |&a: &usize| {
+            let back = winding.iter().filter(|&&b| !forward(self.rings[b].winding));
+            back.map(|&b| self.around(&[a, b])).min_by(|x, y| x.area.total_cmp(&y.area))
+        };
+        ahead.filter_map(strip).collect()
+    }
+
+    /// A line through particles that passes every point outside of all particles as the void's rings do, and
+    /// its first point.
+    fn polygon(&self, rings: &[usize]) -> (Frac, Vec<Vec2>) {
+        let first = self.rings[rings[0]].start;
+        let (mut at, mut place) = ([0.0; 2], first);
+        let mut corners = vec![at];
+        for &k in rings {
+            for chain in self.rings[k].chains.iter().map(|&c| &self.chains[c]) {
+                for &to in [&chain.start].into_iter().chain(&chain.via).chain([&chain.end]) {
+                    at = add(at, self.pbox.displacement(to, place));
+                    place = to;
+                    corners.push(at);
+                }
+            }
+            at = add(at, self.pbox.displacement(self.rings[k].start, place));
+            place = self.rings[k].start;
+            corners.push(at);
+        }
+        (first, corners)
+    }
+
+    /// Whether a point that no particle covers lies inside a void or on one of its islands.
+    fn surrounds(&self, void: &Around, point: Frac) -> bool {
+        let Some(_) = void.rings.first() else { return true };
+        let (first, corners) = self.polygon(&void.rings);
+        let low = corners.iter().fold([f64::INFINITY; 2], |m, c| [m[0].min(c[0]), m[1].min(c[1])]);
+        let high = corners.iter().fold([f64::NEG_INFINITY; 2], |m, c| [m[0].max(c[0]), m[1].max(c[1])]);
+        let nearest = self.pbox.displacement(point, first);
+        let steps = |low: f64, high: f64, step: f64| (low / step).ceil() as i64..=(high / step).floor() as i64;
+        let mut turns = 0;
+        for row in steps(low[1] - nearest[1], high[1] - nearest[1], self.pbox.ly()) {
+            let x = nearest[0] + row as f64 * self.pbox.xy();
+            for column in steps(low[0] - x, high[0] - x, self.pbox.lx()) {
+                let image = [x + column as f64 * self.pbox.lx(), nearest[1] + row as f64 * self.pbox.ly()];
+                turns -= winding_number(&corners, image);
+            }
+        }
+        let boxes = ((-self.signed_area(&void.rings) - void.area) / self.pbox.area()).round() as i64;
+        turns - boxes > 0
+    }
+
+    fn measured(&self, void: &Around) -> Void {
+        let rings = || void.rings.iter().chain(&void.islands).map(|&k| &self.rings[k]);
+        let sides = if void.percolates { rings().collect::<Vec<_>>() } else { vec![&self.rings[void.rings[0]]] };
+        let mut ids: Vec<u32> = sides.iter().flat_map(|ring| &ring.chains).map(|&c| self.chains[c].id).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        let islands: f64 = void.islands.iter().map(|&k| self.rings[k].area).sum();
+        Void {
+            sides: ids.len() as u32,
+            area: void.area - islands,
+            perimeter: rings().map(|ring| ring.length).sum(),
+            islands: void.islands.len() as u32,
+            percolates: void.percolates,
+        }
+    }
+}
+
+/// A void in the making.
+struct Around {
+    /// Its outer boundary; none where nothing encloses it.
+    rings: Vec<usize>,
+    islands: Vec<usize>,
+    /// Islands included.
+    area: f64,
+    percolates: bool,
+}
+
+/// Finds voids near a point.
+struct Locator {
+    cells: CellList,
+}
+
+impl Locator {
+    fn new(linked: &Linked, voids: &[Around]) -> Self {
+        let mut centers = Vec::new();
+        let mut reach = f64::MIN_POSITIVE;
+        for void in voids {
+            let ring = &linked.rings[void.rings[0]];
+            centers.push(ring.start);
+            // nothing inside a ring is farther from its start than half its length
+            if !void.percolates {
+                reach = reach.max(0.5 * ring.length);
+            }
+        }
+        Locator { cells: CellList::new(linked.pbox, &Region::whole(), &centers, reach) }
+    }
+
+    /// The smallest enclosed void around a point that no particle covers.
+    fn enclosing(&self, linked: &Linked, voids: &[Around], point: Frac) -> Option<usize> {
+        let mut smallest: Option<usize> = None;
+        self.cells.for_each_near(point, |k| {
+            let k = k as usize;
+            let is_smaller = smallest.is_none_or(|s| voids[k].area < voids[s].area);
+            if is_smaller && !voids[k].percolates && linked.surrounds(&voids[k], point) {
+                smallest = Some(k);
+            }
+        });
+        smallest
+    }
+}
+
+/// How often a closed line runs counter-clockwise around a point.
+fn winding_number(corners: &[Vec2], point: Vec2) -> i64 {
+    let mut turns = 0;
+    for (a, b) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+        let side = cross([b[0] - a[0], b[1] - a[1]], [point[0] - a[0], point[1] - a[1]]);
+        if a[1] <= point[1] && b[1] > point[1] && side > 0.0 {
+            turns += 1;
+        } else if a[1] > point[1] && b[1] <= point[1] && side < 0.0 {
+            turns -= 1;
+        }
+    }
+    turns
+}
+
+/// Beyond this many ends without a partner something is wrong, and pairing by distance alone would take too long.
+const FEW: usize = 2000;
+
+/// For every chain the one that follows. The end of a chain of p that q hides is the start of one of q that p hides
+/// before: those of one pair of particles are matched, and what rounding leaves over is matched by distance alone.
+fn successors(pbox: &PeriodicBox, chains: &[Chain], widest: f64) -> Option<Vec<usize>> {
+    let mut next: Vec<usize> = (0..chains.len()).collect();
+    let pair = |a: u32, b: u32| (a.min(b), a.max(b));
+    let open = || (0..chains.len()).filter(|&k| !chains[k].is_closed);
+    let mut ends: Vec<_> = open().map(|k| (pair(chains[k].id, chains[k].before), k)).collect();
+    let mut starts: Vec<_> = open().map(|k| (pair(chains[k].id, chains[k].after), k)).collect();
+    ends.sort_unstable();
+    starts.sort_unstable();
+    let gap = |e: usize, s: usize| norm(pbox.displacement(chains[s].start, chains[e].end));
+    let (mut left_ends, mut left_starts) = (Vec::new(), Vec::new());
+    let (mut e, mut s) = (&ends[..], &starts[..]);
+    while let Some(key) = e.first().into_iter().chain(s.first()).map(|&(key, _)| key).min() {
+        let cut = |of: &[((u32, u32), usize)]| of.partition_point(|&(k, _)| k == key);
+        let ((these_ends, e_rest), (these_starts, s_rest)) = (e.split_at(cut(e)), s.split_at(cut(s)));
+        (e, s) = (e_rest, s_rest);
+        let (mut end_left, mut start_left) = (vec![true; these_ends.len()], vec![true; these_starts.len()]);
+        for (i, j) in
+            nearest_pairs(these_ends.len(), these_starts.len(), |i, j| gap(these_ends[i].1, these_starts[j].1))
+        {
+            let (end, start) = (these_ends[i].1, these_starts[j].1);
+            if gap(end, start) < widest {
+                next[end] = start;
+                (end_left[i], start_left[j]) = (false, false);
+            }
+        }
+        left_ends.extend(these_ends.iter().zip(end_left).filter(|(_, left)| *left).map(|((_, k), _)| *k));
+        left_starts.extend(these_starts.iter().zip(start_left).filter(|(_, left)| *left).map(|((_, k), _)| *k));
+    }
+    if left_ends.len() > FEW {
+        return None;
+    }
+    for (i, j) in nearest_pairs(left_ends.len(), left_starts.len(), |i, j| gap(left_ends[i], left_starts[j])) {
+        if gap(left_ends[i], left_starts[j]) >= widest {
+            return None;
+        }
+        next[left_ends[i]] = left_starts[j];
+    }
+    Some(next)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::comm::Comm;
+    use crate::model::{Deformable, DeformableParameters, Harmonic, SoftDisks, VertexEdge};
+    use crate::observe::{PackingFraction, Rattlers, Shape};
+    use crate::particles::{Bodies, Particles};
+
+    fn disks(pbox: PeriodicBox, all: &[(Vec2, f64)]) -> System<SoftDisks> {
+        let mut particles = Particles::empty(&Bodies::Disks);
+        all.iter().enumerate().for_each(|(i, &(x, d))| particles.push(i as u32, d, &[pbox.frac(x)]));
+        System::new(Comm::alone(), SoftDisks { epsilon: 1.0, smallest: 0.2 }, pbox, &pbox, particles, 0.1).unwrap()
+    }
+
+    fn polygons(pbox: PeriodicBox, all: &[Vec<Vec2>]) -> System<Deformable<VertexEdge>> {
+        let mut particles = Particles::empty(&Bodies::Polygons { first: vec![0] });
+        for (id, vertices) in all.iter().enumerate() {
+            particles.push(id as u32, 1.0, &vertices.iter().map(|&v| pbox.frac(v)).collect::<Vec<_>>());
+        }
+        let contact = Harmonic { epsilon: 1.0, delta: 0.2 };
+        let parameters =
+            DeformableParameters { line_tension: 1.0, k_area: 1.0, contact, largest_area_per_vertex: 0.25 };
+        System::new(Comm::alone(), Deformable::new(parameters), pbox, &pbox, particles, 0.1).unwrap()
+    }
+
+    /// With the check against ρ.
+    fn voids<M: Model>(mut system: System<M>) -> Voids {
+        let shapes: Vec<Shape> = system.outlines().unwrap().iter().map(Shape::of).collect();
+        let rho = PackingFraction::of(&mut system, &shapes).unwrap().packing_fraction;
+        Voids::of(&mut system, &[], Some(rho)).unwrap()
+    }
+
+    fn square(x: f64, y: f64, edge: f64) -> Vec<Vec2> {
+        vec![[x, y], [x + edge, y], [x + edge, y + edge], [x, y + edge]]
+    }
+
+    /// (sides, islands, percolates) of all voids.
+    fn kinds(voids: &Voids) -> Vec<(u32, u32, bool)> {
+        voids.list.iter().map(|v| (v.sides, v.islands, v.percolates)).collect()
+    }
+
+    #[test]
+    fn a_lone_particle_leaves_one_void() {
+        let pbox = PeriodicBox::new(5.0, 4.5, 1.0);
+        let v = voids(disks(pbox, &[([4.9, 4.4], 1.0)]));
+        assert_eq!(kinds(&v), [(1, 1, true)]);
+        assert!((v.list[0].area - (22.5 - 0.25 * PI)).abs() < 1e-13);
+        assert!((v.list[0].perimeter - PI).abs() < 1e-14);
+        let v = voids(polygons(pbox, &[square(4.5, 4.0, 1.0)]));
+        assert_eq!(kinds(&v), [(1, 1, true)]);
+        assert!((v.list[0].perimeter - (4.0 + 0.2 * PI)).abs() < 1e-14);
+        assert_eq!(v.statistics.fractions(), [0.0; 5]);
+    }
+
+    #[test]
+    fn nothing_touches_or_hardly() {
+        let pbox = PeriodicBox::square(7.0);
+        for gap in [0.5, 1e-9, 1e-15, 0.0, -1e-15, -1e-13, -1e-12, -1e-9, -0.1] {
+            let v = voids(disks(pbox, &[([1.0, 1.0], 1.0), ([2.0 + gap, 1.0], 1.0), ([5.0, 5.0], 1.0)]));
+            let islands = if gap < -1e-14 { 2 } else { 3 };
+            assert_eq!((v.list.len(), v.list[0].sides, v.list[0].percolates), (1, 3, true), "{gap}");
+            assert!(v.list[0].islands == islands || gap.abs() < 1e-12, "{gap}: {}", v.list[0].islands);
+        }
+    }
+
+    /// n disks around a ring whose neighbours overlap.
+    fn ring(center: Vec2, n: usize, diameter: f64) -> Vec<(Vec2, f64)> {
+        let radius = 0.49 * diameter / (PI / n as f64).sin();
+        let at = |k: usize| {
+            let (sin, cos) = (2.0 * PI * k as f64 / n as f64).sin_cos();
+            ([center[0] + radius * cos, center[1] + radius * sin], diameter)
+        };
+        (0..n).map(at).collect()
+    }
+
+    #[test]
+    fn islands_belong_to_the_void_around_them() {
+        let pbox = PeriodicBox::new(12.0, 11.0, 2.0);
+        // a ring across the corner of the box; in it a smaller ring and in that a disk
+        let mut all = ring([0.3, 0.2], 12, 1.0);
+        all.extend(ring([0.4, 0.1], 5, 0.4));
+        all.push(([0.4, 0.1], 0.2));
+        all.push(([6.0, 5.0], 1.0));
+        let v = voids(disks(pbox, &all));
+        assert_eq!(kinds(&v), [(13, 2, true), (12, 1, false), (5, 1, false)]);
+        let expected: f64 = pbox.area() * (1.0 - 1e-300) - v.list[0].area;
+        assert!(v.list[1].area + v.list[2].area < expected);
+        // what floats is no side; without the ring around it, it floats outside
+        let mut system = disks(pbox, &all);
+        let removed: Vec<u32> = (0..12).collect();
+        assert_eq!(kinds(&Voids::of(&mut system, &removed, None).unwrap()), [(6, 2, true), (5, 1, false)]);
+    }
+
+    #[test]
+    fn three_and_four_sides() {
+        let pbox = PeriodicBox::square(9.0);
+        let h = 0.75f64.sqrt();
+        let v = voids(disks(pbox, &[([0.0, 0.0], 1.0 + 1e-9), ([1.0, 0.0], 1.0), ([0.5, h], 1.0 + 1e-9)]));
+        assert_eq!(kinds(&v), [(3, 0, false), (3, 1, true)][..].iter().rev().copied().collect::<Vec<_>>());
+        let border = v.list[1];
+        assert!((border.area - (h / 2.0 - PI / 8.0)).abs() < 1e-8);
+        // the closed form of a Plateau border
+        assert!((border.shape_parameter() - PI / (4.0 * 3.0f64.sqrt() - 2.0 * PI)).abs() < 1e-3);
+        assert!((v.statistics.border_radius - 0.5).abs() < 1e-6);
+        assert_eq!(v.statistics.with_sides, [1, 0, 0, 0, 0]);
+    }
+
+    #[test]
+    fn strips_between_chains_around_the_box() {
+        // rows of five disks that touch through the boundary of a tilted box, and what floats between them
+        let pbox = PeriodicBox::new(4.9, 9.0, 1.3);
+        let row = |y: f64| (0..5).map(move |k| ([0.98 * k as f64 + 0.3, y], 1.0));
+        let one: Vec<_> = row(2.0).chain([([1.0, 5.0], 0.5)]).collect();
+        let v = voids(disks(pbox, &one));
+        assert_eq!(kinds(&v), [(6, 1, true)]);
+        let two: Vec<_> =
+            row(2.0).chain(row(6.0)).chain([([1.0, 4.0], 0.5), ([2.0, 8.5], 0.4), ([0.9, 8.4], 0.4)]).collect();
+        let v = voids(disks(pbox, &two));
+        let mut found = kinds(&v);
+        found.sort_unstable();
+        assert_eq!(found, [(11, 1, true), (12, 2, true)]);
+        assert_eq!((v.statistics.n_percolating, v.statistics.with_sides), (2, [0; 5]));
+    }
+
+    #[test]
+    fn slivers_inside_a_contact_are_no_voids() {
+        // two facing rectangles, one with a dent of two half lengths: their shells meet at both ends
+        let pbox = PeriodicBox::square(9.0);
+        let lower = vec![[1.0, 1.0], [4.0, 1.0], [4.0, 2.0], [2.5, 1.9], [1.0, 2.0]];
+        let upper = vec![[1.0, 2.19], [4.0, 2.19], [4.0, 3.0], [1.0, 3.0]];
+        let v = voids(polygons(pbox, &[lower, upper]));
+        assert_eq!(kinds(&v), [(2, 1, true)]);
+        assert_eq!(v.statistics.n_slivers, 1);
+        assert!(v.statistics.sliver_area > 0.1);
+    }
+
+    #[test]
+    fn parallel_facets_make_no_voids_by_rounding() {
+        let pbox = PeriodicBox::square(9.0);
+        for overlap in [-1e-9, -1e-15, 0.0, 1e-15, 1e-14, 2e-14, 1e-12, 1e-9, 1e-3] {
+            for tilt in [0.0, 1e-15, 1e-12, 1e-9, 1e-6] {
+                let x = 2.2 - overlap;
+                let turned = vec![[x, 1.0], [x + 1.0, 1.0 + tilt], [x + 1.0 - tilt, 2.0 + tilt], [x - tilt, 2.0]];
+                let v = voids(polygons(pbox, &[square(1.0, 1.0, 1.0), turned]));
+                assert_eq!((v.list.len(), v.list[0].percolates), (1, true), "{overlap} {tilt}");
+                assert!(v.statistics.sliver_area < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn a_hexagonal_foam_has_plateau_borders() {
+        let (n, cell, r) = (4, 0.6, 0.1);
+        let pbox = PeriodicBox::new(2.0 * cell * n as f64, 3.0f64.sqrt() * cell * n as f64, cell * n as f64);
+        let hexagon = |k: usize| -> Vec<Vec2> {
+            let (i, j) = ((k % n) as f64, (k / n) as f64);
+            let center = [2.0 * cell * i + cell * j, 3.0f64.sqrt() * cell * j];
+            let corner = |m: usize| {
+                let (sin, cos) = (2.0 * PI * (m as f64 + 0.5) / 6.0).sin_cos();
+                let radius = (cell - r + 1e-9) / (PI / 6.0).cos();
+                [center[0] + radius * cos, center[1] + radius * sin]
+            };
+            (0..6).map(corner).collect()
+        };
+        let v = voids(polygons(pbox, &(0..n * n).map(hexagon).collect::<Vec<_>>()));
+        assert_eq!(v.statistics.with_sides, [2 * n as u64 * n as u64, 0, 0, 0, 0]);
+        assert_eq!(v.statistics.n_voids, 32);
+        assert!((v.statistics.border_radius - r).abs() < 1e-4, "{}", v.statistics.border_radius);
+        assert!((v.statistics.border_shape_parameter - 4.8706).abs() < 0.01);
+    }
+
+    #[test]
+    fn without_rattlers() {
+        let pbox = PeriodicBox::square(9.0);
+        let h = 0.75f64.sqrt() * 0.99;
+        // every disk of a triangle has two contacts, that of a tail has one
+        let at = [[1.0, 1.0], [1.99, 1.0], [1.495, 1.0 + h], [1.495, 1.98 + h], [6.0, 6.0]];
+        let mut system = disks(pbox, &at.map(|x| (x, 1.0)));
+        let contacts = Contacts::of(&mut system, Rattlers { fewer_than: 2 }).unwrap();
+        let removed = rattler_ids(&system, &contacts);
+        assert_eq!(removed, [3, 4]);
+        let all = Voids::of(&mut system, &[], None).unwrap();
+        assert_eq!(kinds(&all), [(5, 2, true), (3, 0, false)]);
+        assert_eq!(kinds(&Voids::of(&mut system, &removed, None).unwrap()).len(), 2);
+    }
+}

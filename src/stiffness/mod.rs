@@ -1,0 +1,192 @@
+//! The Hessian of a system's energy as rows of small blocks, its products with vectors, and linear systems with it.
+//!
+//! Like forces, the rows of a point live on its owner and are summed in the order of global ids, so that products and
+//! solutions are the same bits on any number of ranks and threads.
+
+mod preconditioner;
+mod solve;
+
+pub use preconditioner::Preconditioner;
+pub use solve::{Goal, Solution, solve};
+
+use crate::engine::{EngineError, System};
+use crate::geometry::{Polygon, Vec2, dot};
+use crate::model::{Block, Elastic, Model, strained, times};
+use crate::particles::Particles;
+use crate::threads;
+
+/// H = ∂²U/∂x∂x in the present state of a system, for its present lists.
+pub struct Stiffness {
+    /// Where the entries of each own point's row begin.
+    start: Vec<usize>,
+    /// Column (a point, own or foreign) and block.
+    entries: Vec<(u32, Block)>,
+    /// ∇a of the particle by each own point, and k: the part k ∇a ∇aᵀ of H. Empty for disks.
+    area_gradient: Vec<Vec2>,
+    area_stiffness: f64,
+}
+
+impl Stiffness {
+    /// Assembles H. Collective.
+    pub fn of<M: Model>(system: &mut System<M>) -> Result<Self, EngineError> {
+        system.prepare()?;
+        let (view, particles) = (system.view(), system.particles());
+        let name = names(particles); // the order of sums
+
+        let parts = threads::map(system.chunks(), |chunk| {
+            let (mut lengths, mut entries) = (Vec::new(), Vec::<(u32, Block)>::new());
+            let mut gradient = vec![[0.0; 2]; if M::BODIES { chunk.points.len() } else { 0 }];
+            let mut weight = 0.0;
+            let mut rows: Vec<Vec<(u32, Block)>> = Vec::new();
+            for p in chunk.particles.clone() {
+                let points = particles.bodies.points(p);
+                rows.resize(rows.len().max(points.len()), Vec::new());
+                system.model.stiffness(&view, p, |point, column, block| rows[point].push((column, block)));
+                for row in &mut rows[..points.len()] {
+                    row.sort_by_key(|&(column, _)| name[column as usize]); // stable: a sum keeps its order
+                    let before = entries.len();
+                    for (column, block) in row.drain(..) {
+                        match entries[before..].last_mut() {
+                            Some((last, sum)) if *last == column => *sum = std::array::from_fn(|k| sum[k] + block[k]),
+                            _ => entries.push((column, block)),
+                        }
+                    }
+                    lengths.push(entries.len() - before);
+                }
+                if M::BODIES {
+                    let mine = points.start - chunk.points.start..points.end - chunk.points.start;
+                    weight = system.model.area_stiffness(&view, p, &mut gradient[mine]);
+                }
+            }
+            (lengths, entries, gradient, weight)
+        });
+        let mut whole =
+            Stiffness { start: vec![0], entries: Vec::new(), area_gradient: Vec::new(), area_stiffness: 0.0 };
+        whole.entries.reserve_exact(parts.iter().map(|part| part.1.len()).sum());
+        for (lengths, entries, gradient, weight) in parts {
+            for length in lengths {
+                whole.start.push(whole.start.last().map_or(0, |s| s + length));
+            }
+            whole.entries.extend(entries);
+            whole.area_gradient.extend(gradient);
+            whole.area_stiffness = weight;
+        }
+        Ok(whole)
+    }
+
+    /// Visits all blocks in the rows of own points, a diagonal one of each point among them, by the global names of
+    /// the points of row and column. Blocks of one row and column add up.
+    pub fn for_each_block<M: Model>(&self, system: &System<M>, mut visit: impl FnMut(u64, u64, Block)) {
+        let particles = system.particles();
+        let name = names(particles);
+        for p in 0..particles.len() {
+            let points = particles.bodies.points(p);
+            for point in points.clone() {
+                visit(name[point], name[point], [0.0; 4]);
+                self.row(point).iter().for_each(|&(column, block)| visit(name[point], name[column as usize], block));
+                for other in points.clone().filter(|_| M::BODIES) {
+                    let (g, h) = (self.area_gradient[point], self.area_gradient[other]);
+                    let product = [g[0] * h[0], g[0] * h[1], g[1] * h[0], g[1] * h[1]];
+                    visit(name[point], name[other], product.map(|x| self.area_stiffness * x));
+                }
+            }
+        }
+    }
+
+    fn row(&self, point: usize) -> &[(u32, Block)] {
+        &self.entries[self.start[point]..self.start[point + 1]]
+    }
+
+    /// H u for the own points. `u` holds a vector for each own point, then one for each foreign point; the foreign
+    /// ones are refreshed from their owners. Collective.
+    pub fn product<M: Model>(&self, system: &mut System<M>, u: &mut Vec<Vec2>, product: &mut [Vec2]) {
+        system.refresh(u);
+        let particles = system.particles();
+        let nothing = &mut vec![(); product.len()]; // zero-sized: no memory behind it
+        threads::fold(
+            system.chunks(),
+            product,
+            nothing,
+            &|chunk, product, _| {
+                for (slot, point) in product.iter_mut().zip(chunk.points.clone()) {
+                    let mut sum = [0.0; 2];
+                    for (column, block) in self.row(point) {
+                        let part = times(block, u[*column as usize]);
+                        sum = [sum[0] + part[0], sum[1] + part[1]];
+                    }
+                    *slot = sum;
+                }
+                if !M::BODIES {
+                    return;
+                }
+                for p in chunk.particles.clone() {
+                    let points = particles.bodies.points(p);
+                    let gradient = &self.area_gradient[points.clone()];
+                    let change: f64 = gradient.iter().zip(&u[points.clone()]).map(|(&g, &u)| dot(g, u)).sum();
+                    let push = self.area_stiffness * change;
+                    let mine = points.start - chunk.points.start..points.end - chunk.points.start;
+                    for (slot, g) in product[mine].iter_mut().zip(gradient) {
+                        *slot = [slot[0] + push * g[0], slot[1] + push * g[1]];
+                    }
+                }
+            },
+            &|(), ()| (),
+        );
+    }
+
+    /// Change of the forces on the own points with the strain, −∂²U/∂x∂E, all points taken along affinely; for each of
+    /// the components xx, xy, yx, yy.
+    pub fn affine_forces<M: Model>(&self, system: &System<M>) -> [Vec<Vec2>; 4] {
+        let (view, particles) = (system.view(), system.particles());
+        let mut forces: [Vec<Vec2>; 4] = std::array::from_fn(|_| Vec::with_capacity(particles.owned_points()));
+        for p in 0..particles.len() {
+            let points = particles.bodies.points(p);
+            let own_area =
+                if M::BODIES { Polygon::from_vertices(view.pbox, particles.points_of(p)).area() } else { 0.0 };
+            for point in points {
+                // rows sum to zero, so only distances count
+                let mut sum = [[0.0; 2]; 4];
+                for (column, block) in self.row(point) {
+                    let r = view.displacement(*column, point as u32);
+                    for (k, sum) in sum.iter_mut().enumerate() {
+                        let part = times(block, strained(k, r));
+                        *sum = [sum[0] - part[0], sum[1] - part[1]];
+                    }
+                }
+                if M::BODIES {
+                    // the area changes by a tr E
+                    let g = self.area_gradient[point];
+                    let push = self.area_stiffness * own_area;
+                    for k in [0, 3] {
+                        sum[k] = [sum[k][0] - push * g[0], sum[k][1] - push * g[1]];
+                    }
+                }
+                for (column, sum) in forces.iter_mut().zip(sum) {
+                    column.push(sum);
+                }
+            }
+        }
+        forces
+    }
+}
+
+/// Global name of every own and foreign point: id of its particle, and its place there.
+fn names(particles: &Particles) -> Vec<u64> {
+    let mut names = Vec::with_capacity(particles.position.len());
+    for p in 0..particles.len() {
+        let id = (particles.id[p] as u64) << 32;
+        names.extend((0..particles.bodies.points(p).len() as u64).map(|k| id | k));
+    }
+    names.extend(particles.foreign.iter().map(|f| (f.id as u64) << 32 | f.index as u64));
+    names
+}
+
+/// Second derivatives of the energy of the whole system by the strain, points taken along affinely. Collective.
+pub fn elastic<M: Model>(system: &mut System<M>) -> Result<Elastic, EngineError> {
+    system.prepare()?;
+    let view = system.view();
+    let parts = threads::map(system.chunks(), |chunk| {
+        chunk.particles.clone().map(|p| system.model.elastic(&view, p)).collect::<Vec<_>>()
+    });
+    Ok(system.comm.sum_terms(parts.iter().flatten().copied()))
+}

@@ -1,0 +1,117 @@
+//! The program against exact formulas: crystals, single polygons, foams, and two ways to one modulus.
+//!
+//! Every check runs the engine itself, over all ranks, and compares one number with what theory says. A tolerance is
+//! rounding where the formula holds for what is computed, and the measured error of discretisation where it is a limit
+//! of many vertices.
+
+mod foam;
+mod lattice;
+mod packings;
+mod polygon;
+mod rounded_hexagon;
+mod table;
+mod yielding;
+
+pub use table::{header, line};
+
+use crate::comm::Comm;
+use crate::engine::{EngineError, System};
+use crate::geometry::Polygon;
+use crate::model::{Model, Outline};
+use crate::protocol::ProtocolError;
+
+/// One number that is known and what the program makes of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Check {
+    pub name: String,
+    pub expected: f64,
+    pub got: f64,
+    /// Largest error that passes.
+    pub tolerance: f64,
+}
+
+impl Check {
+    fn new(name: impl Into<String>, expected: f64, got: f64, tolerance: f64) -> Check {
+        Check { name: name.into(), expected, got, tolerance }
+    }
+
+    /// Relative; no expected value is zero.
+    pub fn error(&self) -> f64 {
+        (self.got / self.expected - 1.0).abs()
+    }
+
+    pub fn passes(&self) -> bool {
+        // not "≤ fails": NaN does not pass
+        self.error() <= self.tolerance
+    }
+}
+
+/// How fine the checks are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effort {
+    /// Less than a minute on one core.
+    Quick,
+    /// More vertices, smaller strains, more packings: some minutes.
+    Long,
+}
+
+/// A group of checks; it starts its systems on communicators that it asks for.
+type Group = fn(&dyn Fn() -> Comm, Effort) -> Result<Vec<Check>, ProtocolError>;
+
+/// From the cheapest to the dearest.
+const GROUPS: [Group; 5] = [lattice::checks, polygon::checks, foam::checks, yielding::checks, packings::checks];
+
+/// Runs all checks; `show` sees each as soon as it is known. `world` makes a communicator of all ranks. Collective, and
+/// the same bits on any number of ranks.
+///
+/// # Errors
+/// A state that does not come to force balance, or more ranks than the small boxes of the checks hold.
+pub fn run(
+    world: &dyn Fn() -> Comm,
+    effort: Effort,
+    mut show: impl FnMut(&Check),
+) -> Result<Vec<Check>, ProtocolError> {
+    let mut all = Vec::new();
+    for group in GROUPS {
+        let checks = group(world, effort)?;
+        checks.iter().for_each(&mut show);
+        all.extend(checks);
+    }
+    Ok(all)
+}
+
+/// Means of some numbers over the polygons of all ranks; all zero for disks. Collective.
+fn mean<M: Model, const K: usize>(
+    system: &mut System<M>,
+    of: impl Fn(&Polygon) -> [f64; K],
+) -> Result<[f64; K], EngineError> {
+    let outlines = system.outlines()?;
+    let rows = outlines.iter().filter_map(|outline| match outline {
+        Outline::Polygon { polygon, .. } => Some(of(polygon)),
+        Outline::Disk { .. } => None,
+    });
+    let n = system.n_particles() as f64;
+    Ok(system.comm.sum_terms(rows).map(|sum| sum / n))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_passes() {
+        assert!(Check::new("", 2.0, 2.002, 1.1e-3).passes());
+        assert!(!Check::new("", 2.0, 2.002, 0.9e-3).passes());
+        assert!(!Check::new("", -2.0, 2.0, 0.1).passes());
+        assert!(!Check::new("", 2.0, f64::NAN, 1e9).passes());
+    }
+
+    #[test]
+    fn cheap_groups_pass() {
+        for group in [lattice::checks, polygon::checks] {
+            for check in group(&Comm::alone, Effort::Quick).unwrap() {
+                assert!(check.passes(), "{check:?}");
+            }
+        }
+    }
+}
