@@ -30,6 +30,12 @@ struct Overlap {
 }
 
 impl SoftDisks {
+    /// Second derivative of the energy of an overlap by the separation.
+    fn block(&self, overlap: &Overlap) -> Block {
+        let law = Harmonic { epsilon: self.epsilon, delta: overlap.contact };
+        of_separation(law, overlap.separation, overlap.distance)
+    }
+
     /// Overlaps of disk i, the force of each as in [`Forces`], to the bit.
     fn overlaps<'a>(&'a self, view: &'a View<DiskList>, i: usize) -> impl Iterator<Item = Overlap> + 'a {
         let size = &view.particles.size;
@@ -143,10 +149,10 @@ impl Model for SoftDisks {
     }
 
     fn stiffness(&self, view: &View<DiskList>, i: usize, mut add: impl FnMut(usize, u32, Block)) {
-        for (j, r, d, law) in self.overlaps(view, i).filter(|&(_, _, d, _)| d > 0.0) {
-            let block = of_separation(law, r, d);
+        for overlap in self.overlaps(view, i).filter(|o| o.distance > 0.0) {
+            let block = self.block(&overlap);
             add(0, i as u32, block);
-            add(0, j, scaled(-1.0, block));
+            add(0, overlap.neighbor, scaled(-1.0, block));
         }
     }
 
@@ -156,8 +162,8 @@ impl Model for SoftDisks {
 
     fn elastic(&self, view: &View<DiskList>, i: usize) -> Elastic {
         let mut elastic = [0.0; 10];
-        for (_, r, d, law) in self.overlaps(view, i).filter(|&(_, _, d, _)| d > 0.0) {
-            let block = of_separation(law, r, d);
+        for overlap in self.overlaps(view, i).filter(|o| o.distance > 0.0) {
+            let (block, r) = (self.block(&overlap), overlap.separation);
             add_elastic(&mut elastic, |a, b| 0.5 * dot(strained(a, r), times(&block, strained(b, r))));
         }
         elastic

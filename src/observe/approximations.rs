@@ -24,7 +24,7 @@ impl Approximations {
         let outlines = system.outlines()?;
         let rows: Vec<[f64; 4]> = outlines.iter().map(terms).collect();
         let [own, kites, lenses, triples] =
-            system.comm.sum_terms(rows.iter().copied()).map(|sum| sum / system.pbox().area());
+            system.comm.sum_terms(rows.len(), |p| rows[p]).map(|sum| sum / system.pbox().area());
         Ok(Approximations {
             eq9_eq10: own - kites,
             eq9: own - lenses,

@@ -22,11 +22,11 @@ impl PackingFraction {
         let is_polygons = matches!(system.particles().bodies, Bodies::Polygons { .. });
         let by_themselves = |s: &Shape| if is_polygons { s.covered_area() } else { s.rest_area };
         let [undeformed, double] =
-            system.comm.sum_terms(shapes.iter().map(|s| [s.undeformed_area(), by_themselves(s)]));
+            system.comm.sum_terms(shapes.len(), |p| [shapes[p].undeformed_area(), by_themselves(&shapes[p])]);
         // the shares of cut disks tile their union
         let shares: Vec<f64> =
             if is_polygons { union_shares(system)? } else { shapes.iter().map(|s| s.area).collect() };
-        let [covered] = system.comm.sum_terms(shares.iter().map(|&area| [area]));
+        let [covered] = system.comm.sum_terms(shares.len(), |p| [shares[p]]);
         let box_area = system.pbox().area();
         Ok(PackingFraction {
             reduced_number_density: undeformed / box_area,

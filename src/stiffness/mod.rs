@@ -188,5 +188,6 @@ pub fn elastic<M: Model>(system: &mut System<M>) -> Result<Elastic, EngineError>
     let parts = threads::map(system.chunks(), |chunk| {
         chunk.particles.clone().map(|p| system.model.elastic(&view, p)).collect::<Vec<_>>()
     });
-    Ok(system.comm.sum_terms(parts.iter().flatten().copied()))
+    let rows = parts.concat();
+    Ok(system.comm.sum_terms(rows.len(), |p| rows[p]))
 }

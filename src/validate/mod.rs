@@ -86,12 +86,15 @@ fn mean<M: Model, const K: usize>(
     of: impl Fn(&Polygon) -> [f64; K],
 ) -> Result<[f64; K], EngineError> {
     let outlines = system.outlines()?;
-    let rows = outlines.iter().filter_map(|outline| match outline {
-        Outline::Polygon { polygon, .. } => Some(of(polygon)),
-        Outline::Disk { .. } => None,
-    });
+    let rows: Vec<[f64; K]> = outlines
+        .iter()
+        .map(|outline| match outline {
+            Outline::Polygon { polygon, .. } => of(polygon),
+            Outline::Disk { .. } => [0.0; K],
+        })
+        .collect();
     let n = system.n_particles() as f64;
-    Ok(system.comm.sum_terms(rows).map(|sum| sum / n))
+    Ok(system.comm.sum_terms(rows.len(), |p| rows[p]).map(|sum| sum / n))
 }
 
 #[cfg(test)]
