@@ -82,7 +82,7 @@ pub struct QuasiStatic {
 }
 
 /// Strain of a quasi-static shear modulus: its square, and the changes of contacts on the way, are its error.
-const STRAIN: f64 = 1e-5;
+const STRAIN: f64 = 5e-5;
 /// What the two ways to the shear modulus may differ by, relative to it.
 const MAX_DIFFERENCE: f64 = 1e-6;
 /// Steps of FIRE that a strain may take.
