@@ -201,12 +201,17 @@ pub enum LogFormat {
 
 impl ValueEnum for Extra {
     fn value_variants<'a>() -> &'a [Self] {
-        &[Extra::Voids, Extra::Approximations]
+        &[Extra::Voids, Extra::Moduli, Extra::QuasiStatic, Extra::Spectrum, Extra::Approximations]
     }
 
     fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
         Some(match self {
             Extra::Voids => clap::builder::PossibleValue::new("voids").help("Every void, and their statistics"),
+            Extra::Moduli => clap::builder::PossibleValue::new("moduli").help("Elastic moduli by linear response"),
+            Extra::QuasiStatic => clap::builder::PossibleValue::new("quasi-static")
+                .help("Moduli, and that relaxed strains of the box give the same shear modulus to 1e-6"),
+            Extra::Spectrum => clap::builder::PossibleValue::new("spectrum")
+                .help("All eigenvalues of the Hessian, of up to 1000 points; zero and negative ones"),
             Extra::Approximations => clap::builder::PossibleValue::new("approximations")
                 .help("Packing fractions of disks by the paper's Eqs. 9, 10 and 12, and their errors"),
         })

@@ -25,6 +25,11 @@ pub enum EngineError {
         "forces on particle {particle} are not finite or run away; the state before this minimisation was the last good one"
     )]
     Runaway { particle: u32 },
+    #[error(
+        "the shear modulus by linear response, {linear_response}, is not that of relaxed strains, {strained}, to 1e-6: \
+         the state is not relaxed well enough (minimize it to smaller forces), or a contact is about to open or close"
+    )]
+    Moduli { linear_response: f64, strained: f64 },
     #[error("the outlines of particles {0} and {1} cross: crossed outlines never untangle, so the state is not valid")]
     Crossing(u32, u32),
     #[error("the voids found fill {found:.15} of the box, but particles leave {left:.15}: please report this state")]

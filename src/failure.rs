@@ -64,9 +64,10 @@ impl From<EngineError> for Failure {
     fn from(error: EngineError) -> Self {
         match error {
             EngineError::TooManyRanks(_) | EngineError::BoxTooSmall { .. } => Failure::Input(error.to_string()),
-            EngineError::Runaway { .. } | EngineError::Crossing(..) | EngineError::Voids { .. } => {
-                Failure::Other(error.to_string())
-            }
+            EngineError::Runaway { .. }
+            | EngineError::Crossing(..)
+            | EngineError::Voids { .. }
+            | EngineError::Moduli { .. } => Failure::Other(error.to_string()),
         }
     }
 }

@@ -23,7 +23,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("validate", &["geometry", "particles", "model", "comm", "engine", "minimize", "protocol", "observe"]),
     ("study", &["geometry", "model", "comm", "engine", "minimize", "protocol", "observe"]),
     ("output", &["geometry", "particles", "comm", "observe"]),
-    ("exchange", &["geometry", "particles", "model", "comm", "engine", "minimize", "observe"]),
+    ("exchange", &["geometry", "particles", "model", "comm", "engine", "minimize", "protocol", "observe"]),
     ("scene", &[]),
     // the edge, where everything is put together
     ("failure", &["engine", "exchange", "output", "protocol", "scene"]),

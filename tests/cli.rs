@@ -346,6 +346,22 @@ fn ranks_refuse_together_and_speak_once() {
     assert_eq!(place.files(), before);
 }
 
+#[test]
+fn evaluations_are_the_same_on_any_number_of_ranks() {
+    let place = Place::new();
+    place.write("sp.json", include_str!("cases/sp_n64_phi090.json"));
+    place.write("dp.json", include_str!("cases/dp_jammed_rho095.json"));
+    for (file, ranks) in [("sp.json", [2, 4]), ("dp.json", [2, 4])] {
+        let evaluate = ["evaluate", file, "--with", "moduli,voids"];
+        let alone = place.jamhpc(&evaluate).succeeds().stdout;
+        assert!(alone.contains("\"shear_modulus\":{\"linear_response\":") && alone.contains("\"voids\":["), "{alone}");
+        for n in ranks {
+            assert_eq!(place.ranks(n, &evaluate).succeeds().stdout, alone, "{file} on {n} ranks");
+        }
+    }
+    place.refuses(&["evaluate", "sp.json", "--with", "moduly"], &["moduly", "--with"]);
+}
+
 // ---------------------------------------------------------------------------------------------------------------------
 // Invalid states
 

@@ -9,7 +9,7 @@ const DISKS: &str = include_str!("cases/sp_n64_phi090.json");
 const SHEARED: &str = include_str!("cases/dp_random_sheared.json");
 const JAMMED: &str = include_str!("cases/dp_jammed_rho095.json");
 
-const EXTRAS: &[Extra] = &[Extra::Voids, Extra::Approximations];
+const EXTRAS: &[Extra] = &[Extra::Voids, Extra::Moduli, Extra::Spectrum, Extra::Approximations];
 
 fn parse(text: &str) -> Value {
     serde_json::from_str(text).unwrap()
@@ -62,6 +62,11 @@ fn relaxed_soft_disks() {
         assert_eq!(void["sides"], expected["sides"]);
         agrees(void, "/area", expected, "/area", 1e-12, 1.0);
     }
+    for key in ["/shear_modulus/linear_response", "/shear_modulus/affine", "/bulk_modulus"] {
+        same(key, 1e-6);
+    }
+    assert_eq!(got["moduli"]["stability"], "stable");
+    assert_eq!((&got["spectrum"]["n_zero"], &got["spectrum"]["n_negative"]), (&json!(2), &json!(0)));
     assert_eq!(got["void_statistics"]["all"]["fractions"][1], json!(29.0 / 91.0));
     let error = got["approximations"]["packing_fraction_eq9_eq10"]["error"].as_f64().unwrap();
     assert!(error < -0.1, "{error}");
@@ -107,10 +112,27 @@ fn jammed_deformable_particles() {
     // the shells of a relaxed packing overlap by 1e-5 of their width
     let rho = ["packing_fraction_double_counted", "packing_fraction"].map(|key| got[key].as_f64().unwrap());
     assert!((0.0..1e-4).contains(&(rho[0] - rho[1])), "{rho:?}");
+    for key in ["/shear_modulus/linear_response", "/shear_modulus/affine"] {
+        same(key, 1e-6);
+    }
+    assert_eq!(got["moduli"]["stability"], "stable");
     let borders = &got["void_statistics"]["all"];
     assert!(borders["border_radius_over_delta"].as_f64().unwrap() > 0.5);
     assert_eq!(got["contacts"].as_array().unwrap().len() as u64, expected["n_contacts"].as_u64().unwrap());
     assert_eq!(got["contact_number"], expected["contact_number"]);
+}
+
+/// The two ways to the shear modulus agree, or the evaluation fails.
+#[test]
+fn relaxed_strains_of_the_box() {
+    let got = parse(&evaluate(Comm::alone(), DISKS, "case", &[Extra::QuasiStatic]).unwrap());
+    let [linear, strained] =
+        ["/shear_modulus/linear_response", "/quasi_static/shear_modulus"].map(|key| got.pointer(key).unwrap().as_f64());
+    assert!((linear.unwrap() - strained.unwrap()).abs() < 1e-6 * linear.unwrap());
+    assert!(got["quasi_static"]["difference"].as_f64().unwrap() < 1e-6);
+    // forces of 10 are no balance
+    let refused = evaluate(Comm::alone(), SHEARED, "case", &[Extra::QuasiStatic]).unwrap_err().to_string();
+    assert!(refused.contains("not that of relaxed strains"), "{refused}");
 }
 
 #[test]

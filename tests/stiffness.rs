@@ -88,12 +88,12 @@ fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, st
     let whole = elastic(&mut here).unwrap();
     let (lx, ly, xy) = (pbox.lx(), pbox.ly(), pbox.xy());
     // the components that a box with its first edge along x can show, with their place on the diagonal of the tensor
-    let strains: [(&str, usize, usize, &dyn Fn(f64) -> PeriodicBox); 3] = [
-        ("xx", 0, 0, &|e| PeriodicBox::new(lx * (1.0 + e), ly, xy * (1.0 + e))),
-        ("xy", 1, 4, &|e| PeriodicBox::new(lx, ly, xy + e * ly)),
-        ("yy", 3, 9, &|e| PeriodicBox::new(lx, ly * (1.0 + e), xy)),
-    ];
-    for (name, component, diagonal, box_of) in strains {
+    for (name, component, diagonal) in [("xx", 0, 0), ("xy", 1, 4), ("yy", 3, 9)] {
+        let box_of = |e: f64| match component {
+            0 => PeriodicBox::new(lx * (1.0 + e), ly, xy * (1.0 + e)),
+            1 => pbox.sheared(e),
+            _ => PeriodicBox::new(lx, ly * (1.0 + e), xy),
+        };
         let slope = derivative(step, |e| forces(model, box_of(e), &stored).concat());
         close(&format!("affine forces {name}"), &by_id(&affine[component]), &slope, 1e-7);
         // dU/dE = −A Σ F⁻ᵀ: with these strains the component itself, over 1 + e for a stretch
@@ -240,7 +240,7 @@ fn quasi_static_strain_agrees() {
         let goal = Goal { force_tolerance, max_iterations: 1_000_000 };
         assert!(Fire.minimize(&mut system, &goal).unwrap().is_converged());
         let linear = Moduli::of(&mut system).unwrap().shear_modulus.linear_response;
-        let strained = quasi_static_shear_modulus(&mut system, &Fire, &goal, 1e-5).unwrap();
+        let strained = quasi_static_shear_modulus(&mut system, &Fire, &goal, 5e-5).unwrap();
         println!("{linear} {strained}: {:e}", strained / linear - 1.0);
         assert!((strained - linear).abs() < 1e-6 * linear, "{strained} instead of {linear}");
         // the system is as it was
@@ -252,7 +252,8 @@ fn quasi_static_strain_agrees() {
     let number = |key: &str| case["input"][key].as_f64().unwrap();
     let mut model = parameters(1.0, number("k_area"), number("epsilon"), number("delta"));
     model.largest_area_per_vertex = 0.11;
-    check(Deformable::<VertexEdge>::new(model), SQUARE, 1e-11);
+    // rounding leaves forces of 1e-14 ε
+    check(Deformable::<VertexEdge>::new(model), SQUARE, 5e-11);
 }
 
 /// A minimum has two zero modes, the shifts of the whole, and no negative one; points by themselves have nothing else.

@@ -1,12 +1,14 @@
 use super::by_id;
 use crate::engine::{EngineError, System};
 use crate::geometry::Vec2;
-use crate::minimize::Report;
+use crate::minimize::{Fire, Goal, Report};
 use crate::model::Model;
 use crate::observe::{
-    Approximations, Contacts, Rattlers, Sample, ShapeParameter, Void, VoidStatistics, Voids, rattler_ids,
+    Approximations, Contacts, Moduli, Modulus, Rattlers, Sample, ShapeParameter, Spectrum, Stability, Void,
+    VoidStatistics, Voids, rattler_ids,
 };
 use crate::particles::Bodies;
+use crate::protocol::{ProtocolError, quasi_static_shear_modulus};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -41,6 +43,20 @@ pub struct Evaluation {
     pub voids: Option<Vec<VoidRow>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub void_statistics: Option<VoidSummaries>,
+    /// G of simple shear at fixed area; the other moduli are in `moduli`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shear_modulus: Option<Modulus>,
+    /// K, all points relaxed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bulk_modulus: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moduli: Option<Moduli>,
+    /// G again, from relaxed strains of the box.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quasi_static: Option<QuasiStatic>,
+    /// Eigenvalues of the Hessian; null if the system is too large for all of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spectrum: Option<Option<Spectrum>>,
     /// Packing fractions of the paper's approximations, and their errors.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub approximations: Option<BTreeMap<&'static str, Approximation>>,
@@ -50,8 +66,27 @@ pub struct Evaluation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extra {
     Voids,
+    Moduli,
+    QuasiStatic,
+    Spectrum,
     Approximations,
 }
+
+/// The shear modulus by straining the box by ±`strain` and relaxing.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct QuasiStatic {
+    pub shear_modulus: f64,
+    pub strain: f64,
+    /// Relative difference from linear response, at most [`MAX_DIFFERENCE`].
+    pub difference: f64,
+}
+
+/// Strain of a quasi-static shear modulus: its square, and the changes of contacts on the way, are its error.
+const STRAIN: f64 = 5e-5;
+/// What the two ways to the shear modulus may differ by, relative to it.
+const MAX_DIFFERENCE: f64 = 1e-6;
+/// Steps of FIRE that a strain may take.
+const MAX_ITERATIONS: u64 = 2_000_000;
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VoidRow {
@@ -162,6 +197,9 @@ impl Evaluation {
             let entry = |(name, value): (&'static str, f64)| (name, Approximation { value, error: value - rho });
             approximations = Some(named.into_iter().map(entry).collect());
         }
+        let wanted = |extra: Extra| extras.contains(&extra);
+        let moduli = (wanted(Extra::Moduli) || wanted(Extra::QuasiStatic)).then(|| Moduli::of(system)).transpose()?;
+        let spectrum = wanted(Extra::Spectrum).then(|| Spectrum::of(system)).transpose()?;
         let e = sample.energies;
         let rows = by_id(system, |p| {
             let forces = &system.forces()[system.particles().bodies.points(p)];
@@ -169,6 +207,10 @@ impl Evaluation {
             row.extend(forces.iter().flatten());
             row
         });
+        let quasi_static = match &moduli {
+            Some(moduli) if wanted(Extra::QuasiStatic) => Some(QuasiStatic::of(system, moduli, max_force)?),
+            _ => None,
+        };
         let matrix = |t: [f64; 4]| [[t[0], t[1]], [t[2], t[3]]];
         Ok(Evaluation {
             energy: match system.model.bodies() {
@@ -192,7 +234,31 @@ impl Evaluation {
             shape_parameter: sample.shape_parameter,
             voids,
             void_statistics,
+            shear_modulus: moduli.map(|m| m.shear_modulus),
+            bulk_modulus: moduli.map(|m| m.bulk_modulus.linear_response),
+            moduli,
+            quasi_static,
+            spectrum,
             approximations,
         })
+    }
+}
+
+impl QuasiStatic {
+    /// Of a state whose largest force is `max_force`, which must agree with linear response. Collective.
+    fn of<M: Model>(system: &mut System<M>, moduli: &Moduli, max_force: f64) -> Result<QuasiStatic, EngineError> {
+        let linear_response = moduli.shear_modulus.linear_response;
+        // as well relaxed as the state itself: an unbalanced force is an error of the stress
+        let goal = Goal { force_tolerance: max_force, max_iterations: MAX_ITERATIONS };
+        let shear_modulus = match quasi_static_shear_modulus(system, &Fire, &goal, STRAIN) {
+            Ok(modulus) => modulus,
+            Err(ProtocolError::Engine(error)) => return Err(error),
+            Err(_) => f64::NAN, // not relaxed: no agreement
+        };
+        let difference = (shear_modulus / linear_response - 1.0).abs();
+        if moduli.stability == Stability::Stable && (difference <= MAX_DIFFERENCE || shear_modulus == linear_response) {
+            return Ok(QuasiStatic { shear_modulus, strain: STRAIN, difference });
+        }
+        Err(EngineError::Moduli { linear_response, strained: shear_modulus })
     }
 }

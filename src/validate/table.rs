@@ -23,6 +23,6 @@ mod tests {
         let check = Check::new("SP lattice f = 0.99: z", 6.0, 6.5, 1e-12);
         let text = line(&check);
         assert_eq!(text.find("NO"), header().find("pass"), "{text}{}", header());
-        assert!(text.contains("6.00000000    6.50000000  8.3e-2    1.0e-12"), "{text}");
+        assert!(text.contains("6.00000000    6.50000000   8.3e-2   1.0e-12"), "{text}");
     }
 }
