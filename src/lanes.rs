@@ -306,7 +306,7 @@ mod tests {
     fn wide_registers_round_as_plain_code() {
         let word = |k: u64| (k + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) as i64;
         let points: Vec<Frac> = (0..100).map(|k| Frac::from_bits([word(k) >> (k % 50), word(k + 1000)])).collect();
-        let number = |k: u64| if k % 9 == 0 { 0.0 } else { word(k + 7) as f64 * 2.0f64.powi(k as i32 - 100) };
+        let number = |k: u64| if k.is_multiple_of(9) { 0.0 } else { word(k + 7) as f64 * 2.0f64.powi(k as i32 - 100) };
         let numbers: Vec<f64> = (0..100).map(number).collect();
         for shift in 0..50 {
             let at = [0, 13].map(|more| std::array::from_fn(|k| (shift + more * k as u32 + more) % 100));

@@ -187,7 +187,7 @@ mod tests {
             let (r, sine) = (0.5 * DELTA, w / side);
             // distance from the bottom along the side to the foot of the meeting point
             let meet = r * (1.0 - sine * sine).sqrt() / sine;
-            let area = covered_by(pbox, &[shape.clone()]);
+            let area = covered_by(pbox, std::slice::from_ref(&shape));
             if meet < side {
                 // what is open: the notch less the shells of both sides, and between the caps above
                 let turn = (0.8 / side).acos();
@@ -207,7 +207,7 @@ mod tests {
         let pbox = PeriodicBox::new(5.0, 4.5, 0.7);
         let star = |x: f64, y: f64, turn: f64, n: usize, deep: f64| -> Vec<Vec2> {
             let corner = |k: usize| {
-                let radius = if k % 2 == 0 { 0.9 } else { deep };
+                let radius = if k.is_multiple_of(2) { 0.9 } else { deep };
                 let (sin, cos) = (turn + PI * k as f64 / n as f64).sin_cos();
                 [x + radius * cos, y + radius * sin]
             };
