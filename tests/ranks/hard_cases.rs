@@ -5,10 +5,11 @@ use crate::harness::Outcome;
 use crate::systems::*;
 use jamhpc::comm::Comm;
 use jamhpc::engine::System;
-use jamhpc::geometry::{PeriodicBox, Vec2, norm};
+use jamhpc::geometry::{Frac, PeriodicBox, Vec2, norm};
 use jamhpc::minimize::{Fire, Minimizer};
 use jamhpc::model::{Contact, Deformable, DeformableParameters, EdgeEdge, Harmonic, VertexEdge};
-use jamhpc::protocol::{Species, deformable_particles};
+use jamhpc::observe::check_no_crossing;
+use jamhpc::protocol::{Species, compress_to, deformable_particles};
 
 const EDGE: f64 = 10.0;
 
@@ -194,5 +195,52 @@ pub fn empty_subdomains(comm: Comm) -> Outcome {
     let minimized = Fire.minimize(&mut system, &goal).unwrap();
     let mut outcome = describe(&mut system);
     outcome.push(format!("{:?}", minimized.report()));
+    outcome
+}
+
+/// Facing squares whose shells touch, in a box that shrinks by a third: moved there at once as rigid wholes they
+/// cross; brought there by [`compress_to`] they do not. One step of it brings no touching centres closer than half a
+/// contact width, and the widest pair just that.
+pub fn compression_without_crossing(comm: Comm) -> Outcome {
+    let pbox = PeriodicBox::square(EDGE);
+    let smallest = PeriodicBox::square(EDGE / 1.5);
+    let reach = 0.5f64.sqrt();
+    let pairs = [
+        square([1.0, 1.0], 0.5),
+        square([2.0 + DELTA, 1.013], 0.5),
+        // across the corner of the box
+        square([-0.55, -1.0], 0.5),
+        square([0.45 + DELTA, -1.0], 0.5),
+        // corner to corner, as far apart as touching centres can be
+        regular(4, [5.0, 5.0], reach, 0.0),
+        regular(4, [5.0 + 2.0 * reach + DELTA, 5.0], reach, 0.0),
+    ];
+    let particles = polygons_at(&comm, &pbox, &pairs, |_| 1.0);
+    let mut system = System::new(comm, model::<VertexEdge>(), pbox, &smallest, particles, 0.1).unwrap();
+    assert_eq!(check_no_crossing(&mut system).unwrap(), None);
+    let start = system.own_particles();
+    let area = system.own_area().unwrap();
+
+    system.deform_rigidly(smallest);
+    assert_eq!(check_no_crossing(&mut system).unwrap(), Some((0, 1)), "one step of this size must be too large");
+    system.restore(pbox, start.clone());
+
+    let distances = |system: &System<Deformable<VertexEdge>>| -> Vec<f64> {
+        let all = whole(system);
+        let centers: Vec<Frac> = (0..all.len()).map(|p| all.center(system.pbox(), p)).collect();
+        centers.chunks(2).map(|pair| norm(system.pbox().displacement(pair[0], pair[1]))).collect()
+    };
+    let before = distances(&system);
+    system.deform_rigidly(pbox.with_area(pbox.area() / system.densest_step()));
+    let approach: Vec<f64> = before.iter().zip(distances(&system)).map(|(then, now)| then - now).collect();
+    assert!(approach.iter().all(|a| (0.3 * DELTA..0.5 * DELTA + 1e-12).contains(a)), "{approach:?}");
+    assert!(approach[2] > 0.5 * DELTA - 1e-9, "{approach:?}");
+    assert_eq!(check_no_crossing(&mut system).unwrap(), None);
+    system.restore(pbox, start);
+
+    let report = compress_to(&mut system, &Fire, &goal(1e-3, 100_000), area / smallest.area()).unwrap();
+    assert_eq!(check_no_crossing(&mut system).unwrap(), None);
+    let mut outcome = describe(&mut system);
+    outcome.push(format!("{report:?}"));
     outcome
 }

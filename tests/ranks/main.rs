@@ -55,6 +55,7 @@ fn main() -> std::process::ExitCode {
         Case::new("onset_dp", invariance::onset_dp, RANKS_AND_THREADS),
         Case::new("hard_cases", hard_cases::all, ONE_AND_FOUR),
         Case::new("area_ratio_80", hard_cases::area_ratio_80, ONE_AND_FOUR),
+        Case::new("compression_without_crossing", hard_cases::compression_without_crossing, ONE_AND_FOUR),
         Case::new("empty_subdomains", hard_cases::empty_subdomains, RANKS),
         Case::new("force_noise_sp", fixed_point::force_noise_sp, &[Start::new(1, 1)]),
         Case::new("force_noise_dp", fixed_point::force_noise_dp, &[Start::new(1, 1)]),
