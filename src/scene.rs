@@ -181,7 +181,10 @@ pub struct Minimize {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
+    /// Fast inertial relaxation engine.
     Fire,
+    /// Nonlinear conjugate gradients.
+    Cg,
 }
 
 /// Neighbour lists.
@@ -446,7 +449,8 @@ const KEYS: &[Key] = &[
     both("compression.log.from", Float(1e-9, 1.0), "1e-4"),
     both("compression.log.to", Float(1e-9, 1.0), "0.1"),
     both("compression.log.per_decade", Int(1, 1000), "4"),
-    both("minimize.method", Choice(&["fire"]), "\"fire\""),
+    sp("minimize.method", Choice(&["fire", "cg"]), "\"cg\""),
+    dp("minimize.method", Choice(&["fire", "cg"]), "\"fire\""),
     sp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-12"),
     dp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-9"),
     both("minimize.max_iterations", Int(1, 1_000_000_000), "1_000_000"),
