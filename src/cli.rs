@@ -5,7 +5,7 @@
 use crate::comm::Comm;
 use crate::exchange::Extra;
 use crate::failure::exit;
-use crate::scene::ColorBy;
+use crate::scene::{ColorBy, Method};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 use tracing_subscriber::EnvFilter;
@@ -93,6 +93,9 @@ pub enum Command {
         /// Where to write the relaxed configuration
         #[arg(short, long, value_name = "OUT")]
         output: PathBuf,
+        /// Minimiser: inertial relaxation, or conjugate gradients, which are faster for disks
+        #[arg(long, value_enum, default_value_t = Method::Fire)]
+        method: Method,
         /// Relaxed when no force is above this, in the units of the configuration
         #[arg(long, value_name = "F", default_value = "1e-9", value_parser = positive)]
         force_tolerance: f64,
@@ -214,6 +217,19 @@ impl ValueEnum for Extra {
                 .help("All eigenvalues of the Hessian, of up to 1000 points; zero and negative ones"),
             Extra::Approximations => clap::builder::PossibleValue::new("approximations")
                 .help("Packing fractions of disks by the paper's Eqs. 9, 10 and 12, and their errors"),
+        })
+    }
+}
+
+impl ValueEnum for Method {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Method::Fire, Method::Cg]
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        Some(match self {
+            Method::Fire => "fire".into(),
+            Method::Cg => "cg".into(),
         })
     }
 }

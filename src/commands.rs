@@ -6,11 +6,11 @@ use crate::comm::{Comm, Session};
 use crate::exchange;
 use crate::failure::{Failure, exit};
 use crate::frames::{self, Frame};
-use crate::minimize::{Fire, Goal, Minimized, Report};
+use crate::minimize::{ConjugateGradient, Fire, Goal, Minimized, Report};
 use crate::output::folder::write_whole;
 use crate::output::info;
 use crate::run;
-use crate::scene::{self, Scene};
+use crate::scene::{self, Method, Scene};
 use crate::validate::{self, Effort};
 use std::path::Path;
 
@@ -50,10 +50,14 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
                 Some(output) => write(&session.world(), output, &evaluation),
             }
         }
-        Some(Command::Minimize { file, frame, output, force_tolerance, max_iterations }) => {
+        Some(Command::Minimize { file, frame, output, method, force_tolerance, max_iterations }) => {
             let text = read_configuration(&comm, file, *frame)?;
             let goal = Goal { force_tolerance: *force_tolerance, max_iterations: *max_iterations };
-            let (relaxed, outcome) = exchange::minimize(comm, &text, &file.display().to_string(), &Fire, &goal)?;
+            let origin = file.display().to_string();
+            let (relaxed, outcome) = match method {
+                Method::Fire => exchange::minimize(comm, &text, &origin, &Fire, &goal)?,
+                Method::Cg => exchange::minimize(comm, &text, &origin, &ConjugateGradient, &goal)?,
+            };
             write(&session.world(), output, &relaxed)?;
             report(outcome, &goal, output)
         }

@@ -295,6 +295,41 @@ impl<M: Model> System<M> {
         self.halo_is_old = true;
     }
 
+    /// As [`System::move_points`], for a minimiser that carries two vectors: `step` also reads the second, and then
+    /// `keep` changes it, given the lightened forces.
+    pub fn move_points_keeping(
+        &mut self,
+        bound: f64,
+        step: impl Fn(&PeriodicBox, &mut [Frac], &mut [Vec2], &[Vec2], &[Vec2]) + Sync,
+        keep: impl Fn(&mut [Vec2], &[Vec2]) + Sync,
+    ) {
+        let owned = self.particles.owned_points();
+        let Particles { position, carried, .. } = &mut self.particles;
+        let [first, second] = &mut carried[..] else { panic!("two vectors are carried") };
+        let forces = if M::BODIES { &self.lightened } else { &self.forces };
+        let pbox = &self.pbox;
+        threads::fold(
+            &self.chunks,
+            &mut position[..owned],
+            first,
+            &|chunk, position, first| {
+                let points = chunk.points.clone();
+                step(pbox, position, first, &second[points.clone()], &forces[points])
+            },
+            &|(), ()| (),
+        );
+        let nothing = &mut vec![(); owned]; // zero-sized: no memory behind it
+        threads::fold(
+            &self.chunks,
+            second,
+            nothing,
+            &|chunk, second, _| keep(second, &forces[chunk.points.clone()]),
+            &|(), ()| (),
+        );
+        self.travel_bound += bound;
+        self.halo_is_old = true;
+    }
+
     /// Evaluates the forces on all own points, then calls `reduce` on each chunk while it is in the cache, with its
     /// forces and lightened forces, and merges the answers; `None` on a rank without particles.
     pub fn evaluate<R: Send>(

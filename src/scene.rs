@@ -208,7 +208,10 @@ pub struct Minimize {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
+    /// Fast inertial relaxation engine.
     Fire,
+    /// Nonlinear conjugate gradients.
+    Cg,
 }
 
 /// Neighbour lists.
@@ -476,7 +479,8 @@ const KEYS: &[Key] = &[
     both("shear.until", Float(0.0, 100.0), "0.0"),
     both("shear.step", Float(1e-7, 0.1), "0.01"),
     both("measure.moduli", Bool, "true"),
-    both("minimize.method", Choice(&["fire"]), "\"fire\""),
+    sp("minimize.method", Choice(&["fire", "cg"]), "\"cg\""),
+    dp("minimize.method", Choice(&["fire", "cg"]), "\"fire\""),
     sp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-12"),
     dp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-9"),
     both("minimize.max_iterations", Int(1, 1_000_000_000), "1_000_000"),

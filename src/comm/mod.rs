@@ -8,7 +8,7 @@ mod reduction;
 
 pub use exact_sum::{ExactSum, Grid};
 pub use halo::Halo;
-pub use reduction::{FusedSums, Sums, Totals};
+pub use reduction::{EXTREMES, FusedSums, Sums, Totals};
 
 use crate::threads;
 use mpi::collective::UnsafeUserOperation;
@@ -96,7 +96,7 @@ impl Comm {
     }
 
     /// Combines the partial totals of all ranks, in place, in one collective operation.
-    pub fn combine(&self, totals: &mut Totals) {
+    pub fn combine<const S: usize>(&self, totals: &mut Totals<S>) {
         if let (Some(group), Some(fold)) = (self.peers(), &self.fold) {
             let mine = totals.to_block();
             let mut all = reduction::Block::default();

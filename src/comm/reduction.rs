@@ -1,28 +1,34 @@
 use super::{ExactSum, Grid};
 use std::ffi::{c_int, c_void};
 
-/// Sums and maxima of one step, combined over all ranks in a single collective operation.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Totals {
+/// How many further maxima share a reduction with the sums.
+pub const EXTREMES: usize = 3;
+
+/// `S` sums and maxima of one step, combined over all ranks in a single collective operation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Totals<const S: usize> {
     /// Order-independent partial sums; their grids must be equal on all ranks.
-    pub sums: [ExactSum; Totals::SUMS],
+    pub sums: [ExactSum; S],
     /// Largest magnitude of the terms of each sum; NaN wins.
-    pub maxima: [f64; Totals::SUMS],
+    pub maxima: [f64; S],
     /// Maxima of other non-negative quantities; NaN wins.
-    pub extremes: [f64; Totals::EXTREMES],
+    pub extremes: [f64; EXTREMES],
 }
 
-impl Totals {
-    /// How many sums share a reduction.
-    pub const SUMS: usize = 2;
-    /// How many further maxima.
-    pub const EXTREMES: usize = 3;
-    const WORDS: usize = 3 * Self::SUMS + Self::EXTREMES;
+impl<const S: usize> Default for Totals<S> {
+    fn default() -> Self {
+        Totals { sums: [ExactSum::default(); S], maxima: [0.0; S], extremes: [0.0; EXTREMES] }
+    }
+}
+
+impl<const S: usize> Totals<S> {
+    /// A message has room for [`MOST_SUMS`]; those that are not taken are zero there.
+    const FITS: () = assert!(S <= MOST_SUMS);
 
     /// Adds one term to each sum, and takes further quantities into the extremes.
     #[inline(always)]
-    pub fn add(&mut self, grids: &[Grid; Self::SUMS], terms: [f64; Self::SUMS], quantities: [f64; Self::EXTREMES]) {
-        for k in 0..Self::SUMS {
+    pub fn add(&mut self, grids: &[Grid; S], terms: [f64; S], quantities: [f64; EXTREMES]) {
+        for k in 0..S {
             self.sums[k].add(grids[k], terms[k]);
             self.maxima[k] = larger(self.maxima[k], terms[k].abs());
         }
@@ -32,12 +38,12 @@ impl Totals {
     }
 
     /// Of two partial totals.
-    pub fn merged(mut self, other: Totals) -> Totals {
+    pub fn merged(mut self, other: Self) -> Self {
         self.merge(&other);
         self
     }
 
-    pub fn merge(&mut self, other: &Totals) {
+    pub fn merge(&mut self, other: &Self) {
         for (sum, &term) in self.sums.iter_mut().zip(&other.sums) {
             sum.merge(term);
         }
@@ -48,11 +54,15 @@ impl Totals {
     }
 
     pub(super) fn to_block(self) -> Block {
-        let mut words = [0; Self::WORDS];
+        const { Self::FITS };
+        let mut words = [0; WORDS];
         for (pair, sum) in words.chunks_exact_mut(2).zip(&self.sums) {
             pair.copy_from_slice(&sum.limbs);
         }
-        for (word, most) in words[2 * Self::SUMS..].iter_mut().zip(self.maxima.iter().chain(&self.extremes)) {
+        for (word, most) in words[2 * MOST_SUMS..].iter_mut().zip(&self.maxima) {
+            *word = most.to_bits() as i64;
+        }
+        for (word, most) in words[3 * MOST_SUMS..].iter_mut().zip(&self.extremes) {
             *word = most.to_bits() as i64;
         }
         Block { words }
@@ -61,24 +71,24 @@ impl Totals {
     pub(super) fn from_block(Block { words }: Block) -> Self {
         Totals {
             sums: std::array::from_fn(|k| ExactSum { limbs: [words[2 * k], words[2 * k + 1]] }),
-            maxima: std::array::from_fn(|k| f64::from_bits(words[2 * Self::SUMS + k] as u64)),
-            extremes: std::array::from_fn(|k| f64::from_bits(words[3 * Self::SUMS + k] as u64)),
+            maxima: std::array::from_fn(|k| f64::from_bits(words[2 * MOST_SUMS + k] as u64)),
+            extremes: std::array::from_fn(|k| f64::from_bits(words[3 * MOST_SUMS + k] as u64)),
         }
     }
 }
 
-/// Three sums taken again and again: their grids follow the terms, so that nearly always one reduction is enough.
+/// `S` sums taken again and again: their grids follow the terms, so that nearly always one reduction is enough.
 #[derive(Clone, Copy, Debug)]
-pub struct FusedSums {
-    pub grids: [Grid; Totals::SUMS],
+pub struct FusedSums<const S: usize> {
+    pub grids: [Grid; S],
 }
 
 /// What a fused reduction gives.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sums {
-    pub sum: [f64; Totals::SUMS],
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sums<const S: usize> {
+    pub sum: [f64; S],
     /// Maxima of the other quantities.
-    pub extremes: [f64; Totals::EXTREMES],
+    pub extremes: [f64; EXTREMES],
 }
 
 /// The larger of two non-negative numbers; compared as integers, whose order is theirs, and NaN lies above infinity.
@@ -87,21 +97,21 @@ fn larger(a: f64, b: f64) -> f64 {
     f64::from_bits(a.to_bits().max(b.to_bits()))
 }
 
-impl Default for FusedSums {
+impl<const S: usize> Default for FusedSums<S> {
     fn default() -> Self {
-        FusedSums { grids: [Grid::for_terms_up_to(1.0); Totals::SUMS] }
+        FusedSums { grids: [Grid::for_terms_up_to(1.0); S] }
     }
 }
 
-impl FusedSums {
+impl<const S: usize> FusedSums<S> {
     /// The sums, if the grids they were taken on suited their terms; else nothing, and they must be taken again on the
     /// grids as they are now. Terms that are not finite are answered as they are.
-    pub fn settle(&mut self, totals: &Totals) -> Option<Sums> {
+    pub fn settle(&mut self, totals: &Totals<S>) -> Option<Sums<S>> {
         let suits = |k: usize| {
             let (most, limit) = (totals.maxima[k], self.grids[k].limit());
             most == 0.0 || !most.is_finite() || (most <= limit && most >= limit * COARSEST)
         };
-        let suited = (0..Totals::SUMS).all(suits);
+        let suited = (0..S).all(suits);
         let sum = std::array::from_fn(|k| totals.sums[k].value(self.grids[k]));
         for (grid, &most) in self.grids.iter_mut().zip(&totals.maxima) {
             if most > 0.0 && most.is_finite() {
@@ -115,12 +125,16 @@ impl FusedSums {
 /// A grid this much too large still resolves the largest term to 2⁻⁵⁰.
 const COARSEST: f64 = 1.0 / (1u64 << 20) as f64;
 
-/// [`Totals`] as one element of an MPI message. To MPI a plain array would be that many elements, which an
+/// The most sums that share a reduction.
+const MOST_SUMS: usize = 3;
+const WORDS: usize = 3 * MOST_SUMS + EXTREMES;
+
+/// [`Totals`] of any number of sums as one element of an MPI message. To MPI a plain array would be that many elements, which an
 /// implementation may fold in parts.
 #[derive(Clone, Copy, Default, mpi::traits::Equivalence)]
 #[repr(C)]
 pub(super) struct Block {
-    words: [i64; Totals::WORDS],
+    words: [i64; WORDS],
 }
 
 /// The MPI user function of [`Totals::merge`].
@@ -142,7 +156,7 @@ pub(super) unsafe extern "C" fn fold_raw(
         )
     };
     for (whole, part) in combined.iter_mut().zip(incoming) {
-        let mut totals = Totals::from_block(*whole);
+        let mut totals = Totals::<MOST_SUMS>::from_block(*whole);
         totals.merge(&Totals::from_block(*part));
         *whole = totals.to_block();
     }
@@ -152,7 +166,7 @@ pub(super) unsafe extern "C" fn fold_raw(
 mod tests {
     use super::*;
 
-    fn sample(k: i64) -> Totals {
+    fn sample(k: i64) -> Totals<2> {
         Totals {
             sums: std::array::from_fn(|i| ExactSum { limbs: [k * 7 + i as i64, -k] }),
             maxima: std::array::from_fn(|i| (k * (i as i64 + 1)) as f64 * 0.1),
@@ -178,7 +192,7 @@ mod tests {
 
     #[test]
     fn grids_follow_the_terms() {
-        let mut fused = FusedSums::default();
+        let mut fused = FusedSums::<2>::default();
         for size in [1e-12, 1e-12, 1e9, 2e9] {
             let terms = [size, -0.5 * size * size];
             let mut tries = 0;
@@ -202,7 +216,7 @@ mod tests {
     #[test]
     fn nan_wins_a_maximum() {
         let mut t = sample(1);
-        t.merge(&Totals { extremes: [f64::NAN; Totals::EXTREMES], ..Totals::default() });
+        t.merge(&Totals { extremes: [f64::NAN; EXTREMES], ..Totals::default() });
         t.merge(&sample(2));
         assert!(t.extremes.iter().all(|m| m.is_nan()));
         assert!(t.maxima.iter().all(|m| m.is_finite()));

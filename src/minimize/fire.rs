@@ -1,4 +1,4 @@
-use super::{Goal, Minimized, Minimizer, Report};
+use super::{Goal, Minimized, Minimizer, RUNAWAY, Report};
 use crate::comm::{FusedSums, Grid, Sums, Totals};
 use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, dot};
@@ -27,9 +27,6 @@ const DELAY: u32 = 20;
 const STEP_START: f64 = 0.1;
 /// Smallest time step over the largest: below it FIRE would stand still with unbalanced forces.
 const STEP_LEAST: f64 = 0.01;
-
-/// Forces beyond this, in the scene's units, can only come from a broken state.
-const RUNAWAY: f64 = 1e12;
 
 /// What one step is decided by. With f the lightened forces, M⁻¹F, the scalar products are those of mass-weighted
 /// coordinates: F·f = |F|² and vᵀMv = |v|² there.
@@ -132,17 +129,17 @@ impl Kernel for Step<'_> {
 
 /// What a run of points adds to the sums and maxima of a step.
 struct Partial<'a> {
-    grids: &'a [Grid; Totals::SUMS],
+    grids: &'a [Grid; 2],
     forces: &'a [Vec2],
     lightened: &'a [Vec2],
     velocities: &'a [Vec2],
 }
 
 impl Kernel for Partial<'_> {
-    type Output = Totals;
+    type Output = Totals<2>;
 
     #[inline(always)]
-    fn run(self, _: impl Lanes) -> Totals {
+    fn run(self, _: impl Lanes) -> Totals<2> {
         let mut totals = Totals::default();
         for ((&f, &g), &v) in self.forces.iter().zip(self.lightened).zip(self.velocities) {
             totals.add(self.grids, [dot(f, v), dot(f, g)], [dot(f, f), dot(v, v), dot(g, g)]);
@@ -153,8 +150,8 @@ impl Kernel for Partial<'_> {
 
 /// Forces at the present positions, and the norms of the step: one fused reduction, repeated only when forces or
 /// velocities have outgrown the grids of the sums.
-fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums) -> Result<Norms, EngineError> {
-    let partial = |grids: &[Grid; Totals::SUMS], forces: &[Vec2], lightened: &[Vec2], velocities: &[Vec2]| {
+fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<2>) -> Result<Norms, EngineError> {
+    let partial = |grids: &[Grid; 2], forces: &[Vec2], lightened: &[Vec2], velocities: &[Vec2]| {
         // the compiler sees that these are the same, and reads them once
         let lightened = if M::BODIES { lightened } else { forces };
         lanes::run(Partial { grids, forces, lightened, velocities })

@@ -1,7 +1,9 @@
 //! Minimisers: from a system to a nearby minimum of its energy.
 
+mod conjugate_gradient;
 mod fire;
 
+pub use conjugate_gradient::ConjugateGradient;
 pub use fire::Fire;
 
 use crate::engine::{EngineError, System};
@@ -45,6 +47,9 @@ impl Minimized {
         matches!(self, Minimized::Converged(_))
     }
 }
+
+/// Forces beyond this, in the scene's units, can only come from a broken state.
+const RUNAWAY: f64 = 1e12;
 
 /// A way to minimise. Implementations must give the same bits on any number of ranks and threads: decide only by
 /// values that are reduced over all ranks by order-independent sums or maxima.

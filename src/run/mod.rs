@@ -9,7 +9,7 @@ mod table;
 use crate::comm::Comm;
 use crate::engine::{EngineError, System};
 use crate::failure::Failure;
-use crate::minimize::{Fire, Minimizer, Report};
+use crate::minimize::{ConjugateGradient, Fire, Minimizer, Report};
 use crate::model::{EdgeEdge, Model, VertexEdge};
 use crate::observe::{Moduli, OnsetBracket, Rattlers, Sample, check_no_crossing};
 use crate::output::Folder;
@@ -33,6 +33,7 @@ pub fn run(comm: Comm, scene: &Scene, speaks: bool) -> Result<(), Failure> {
 fn minimized_by<M: Model>(system: System<M>, scene: &Scene, speaks: bool) -> Result<(), Failure> {
     match scene.minimize.method {
         Method::Fire => keep(system, &Fire, scene, speaks),
+        Method::Cg => keep(system, &ConjugateGradient, scene, speaks),
     }
 }
 

@@ -1,5 +1,5 @@
 use super::{Preconditioner, Stiffness};
-use crate::comm::{FusedSums, Totals};
+use crate::comm::{EXTREMES, FusedSums, Totals};
 use crate::engine::System;
 use crate::geometry::{Vec2, dot};
 use crate::model::Model;
@@ -35,23 +35,19 @@ impl Solution {
     }
 }
 
-/// Two order-independent sums over all own points of all ranks. Collective.
-fn sums<M: Model>(
-    system: &System<M>,
-    fused: &mut FusedSums,
-    terms: impl Fn(usize) -> [f64; Totals::SUMS] + Sync,
-) -> [f64; Totals::SUMS] {
+/// An order-independent sum over all own points of all ranks. Collective.
+fn sum<M: Model>(system: &System<M>, fused: &mut FusedSums<1>, term: impl Fn(usize) -> f64 + Sync) -> f64 {
     loop {
         let grids = fused.grids;
         let partial = threads::map(system.chunks(), |chunk| {
             let mut totals = Totals::default();
-            chunk.points.clone().for_each(|i| totals.add(&grids, terms(i), [0.0; Totals::EXTREMES]));
+            chunk.points.clone().for_each(|i| totals.add(&grids, [term(i)], [0.0; EXTREMES]));
             totals
         });
         let mut totals = partial.into_iter().fold(Totals::default(), Totals::merged);
         system.comm.combine(&mut totals);
         if let Some(settled) = fused.settle(&totals) {
-            return settled.sum;
+            return settled.sum[0];
         }
     }
 }
@@ -74,14 +70,14 @@ pub fn solve<M: Model>(
     preconditioner.apply(system, &r, &mut z);
     let mut p = z.clone();
     let (mut of_curvature, mut of_residual) = (FusedSums::default(), FusedSums::default());
-    let [mut rz, _] = sums(system, &mut of_residual, |i| [dot(r[i], z[i]), 0.0]);
+    let mut rz = sum(system, &mut of_residual, |i| dot(r[i], z[i]));
     let scale = rz;
     let mut products = 0;
     let mut is_unstable = false;
     while products < goal.max_products && rz > goal.negligible.max(goal.tolerance * goal.tolerance * scale) {
         stiffness.product(system, &mut p, &mut q);
         products += 1;
-        let [pq, _] = sums(system, &mut of_curvature, |i| [dot(p[i], q[i]), 0.0]);
+        let pq = sum(system, &mut of_curvature, |i| dot(p[i], q[i]));
         if pq <= 0.0 {
             is_unstable = true;
             break;
@@ -92,14 +88,14 @@ pub fn solve<M: Model>(
             r[i] = [r[i][0] - step * q[i][0], r[i][1] - step * q[i][1]];
         }
         preconditioner.apply(system, &r, &mut z);
-        let [next, _] = sums(system, &mut of_residual, |i| [dot(r[i], z[i]), 0.0]);
+        let next = sum(system, &mut of_residual, |i| dot(r[i], z[i]));
         let keep = next / rz;
         for i in 0..n {
             p[i] = [z[i][0] + keep * p[i][0], z[i][1] + keep * p[i][1]];
         }
         rz = next;
     }
-    let [work, _] = sums(system, &mut FusedSums::default(), |i| [dot(b[i], u[i]), 0.0]);
+    let work = sum(system, &mut FusedSums::default(), |i| dot(b[i], u[i]));
     let residual = if rz > goal.negligible { (rz / scale).sqrt() } else { 0.0 };
     Solution { u, work, products, residual, is_unstable }
 }

@@ -5,7 +5,7 @@ use crate::systems::*;
 use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::geometry::PeriodicBox;
-use jamhpc::minimize::{Fire, Goal, Minimizer};
+use jamhpc::minimize::{ConjugateGradient, Fire, Goal, Minimizer};
 use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
 use jamhpc::observe::{Contacts, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
 use jamhpc::protocol::{OnsetSearch, compress_to, find_onset};
@@ -35,9 +35,9 @@ pub fn forces_dp_edge_edge(comm: Comm) -> Outcome {
     forces_of_polygons::<EdgeEdge>(comm)
 }
 
-/// 2,000 steps of FIRE, on the way of which particles change owners and lists are made anew, in parts before which the
+/// 2,000 steps of a minimiser, on the way of which particles change owners and lists are made anew, in parts before which the
 /// box may be strained.
-fn fire<M: Model>(mut system: System<M>, parts: u64, strain: f64) -> Outcome {
+fn relax<M: Model>(mut system: System<M>, minimizer: impl Minimizer, parts: u64, strain: f64) -> Outcome {
     let mut outcome = Vec::new();
     system.prepare().unwrap();
     let before = system.counters;
@@ -45,7 +45,7 @@ fn fire<M: Model>(mut system: System<M>, parts: u64, strain: f64) -> Outcome {
         let b = *system.pbox();
         system.deform(PeriodicBox::new(b.lx(), b.ly(), b.xy() + strain * b.ly()));
         let goal = goal(0.0, 2000 / parts);
-        let minimized = Fire.minimize(&mut system, &goal).unwrap();
+        let minimized = minimizer.minimize(&mut system, &goal).unwrap();
         assert_eq!(minimized.report().iterations, 2000 / parts);
         outcome.push(format!("{:?}", minimized.report()));
     }
@@ -59,7 +59,11 @@ fn fire<M: Model>(mut system: System<M>, parts: u64, strain: f64) -> Outcome {
 }
 
 pub fn fire_sp(comm: Comm) -> Outcome {
-    fire(random_sp(comm, 1024, unit_box(0.0), 0.9, 0.9), 1, 0.0)
+    relax(random_sp(comm, 1024, unit_box(0.0), 0.9, 0.9), Fire, 1, 0.0)
+}
+
+pub fn cg_sp(comm: Comm) -> Outcome {
+    relax(random_sp(comm, 1024, unit_box(0.0), 0.9, 0.9), ConjugateGradient, 5, 0.02)
 }
 
 /// A loose packing compressed past its onset, then sheared until particles pass each other.
@@ -67,19 +71,26 @@ pub fn fire_dp(comm: Comm) -> Outcome {
     let mut system = random_dp::<VertexEdge>(comm, 128, unit_box(0.0), 0.75, 0.9);
     let tighter = system.pbox().with_area(0.88 * system.pbox().area());
     system.deform_rigidly(tighter);
-    fire(system, 5, 0.1)
+    relax(system, Fire, 5, 0.1)
+}
+
+/// Few particles: what matters is that lightened forces are another vector than forces.
+pub fn cg_dp(comm: Comm) -> Outcome {
+    let mut system = random_dp::<VertexEdge>(comm, 128, unit_box(0.0), 0.75, 0.9);
+    let tighter = system.pbox().with_area(0.88 * system.pbox().area());
+    system.deform_rigidly(tighter);
+    relax(system, ConjugateGradient, 5, 0.1)
 }
 
 /// An onset search and a compression step, with every state on the way.
-fn onset<M: Model>(mut system: System<M>, goal: &Goal, search: &OnsetSearch) -> Outcome {
+fn onset<M: Model>(mut system: System<M>, minimizer: impl Minimizer, goal: &Goal, search: &OnsetSearch) -> Outcome {
     let mut outcome = Vec::new();
-    let fire = Fire;
-    let onset = find_onset(&mut system, &fire, goal, search, |density, energies, report| {
+    let onset = find_onset(&mut system, &minimizer, goal, search, |density, energies, report| {
         outcome.push(format!("{density:e} {} {report:?}", hex(&[energies.total, energies.pressure()])));
     })
     .unwrap();
     assert!(onset.steps > 3 && onset.pressure > search.pressure[0] && onset.unjammed < onset.density, "{outcome:#?}");
-    let report = compress_to(&mut system, &fire, goal, onset.density + 0.01).unwrap();
+    let report = compress_to(&mut system, &minimizer, goal, onset.density + 0.01).unwrap();
     outcome.push(format!("{onset:?} {report:?}"));
     outcome.extend(describe(&mut system));
     outcome
@@ -88,13 +99,13 @@ fn onset<M: Model>(mut system: System<M>, goal: &Goal, search: &OnsetSearch) -> 
 pub fn onset_sp(comm: Comm) -> Outcome {
     let system = random_sp(comm, 1024, unit_box(0.0), 0.6, 0.95);
     let goal = goal(1e-7, 100_000);
-    onset(system, &goal, &OnsetSearch { step: 0.04, smallest_step: 1e-6, pressure: [1e-5, 1e-3] })
+    onset(system, ConjugateGradient, &goal, &OnsetSearch { step: 0.04, smallest_step: 1e-6, pressure: [1e-5, 1e-3] })
 }
 
 pub fn onset_dp(comm: Comm) -> Outcome {
     let system: System<Deformable<VertexEdge>> = random_dp(comm, 128, unit_box(0.0), 0.7, 0.95);
     let goal = goal(1e-2, 100_000);
-    onset(system, &goal, &OnsetSearch { step: 0.02, smallest_step: 1e-6, pressure: [0.1, 0.5] })
+    onset(system, Fire, &goal, &OnsetSearch { step: 0.02, smallest_step: 1e-6, pressure: [0.1, 0.5] })
 }
 
 /// The packing fraction and all voids of a state, with and without rattlers, to the last bit.

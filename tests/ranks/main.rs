@@ -57,6 +57,8 @@ fn main() -> std::process::ExitCode {
         Case::new("forces_dp_edge_edge", invariance::forces_dp_edge_edge, RANKS_AND_THREADS),
         Case::new("fire_sp", invariance::fire_sp, RANKS_AND_THREADS),
         Case::new("fire_dp", invariance::fire_dp, RANKS_AND_THREADS),
+        Case::new("cg_sp", invariance::cg_sp, RANKS_AND_THREADS),
+        Case::new("cg_dp", invariance::cg_dp, ONE_AND_FOUR),
         Case::new("onset_sp", invariance::onset_sp, RANKS_AND_THREADS),
         Case::new("onset_dp", invariance::onset_dp, RANKS_AND_THREADS),
         Case::new("moduli_sp", moduli::sp, RANKS_AND_THREADS),

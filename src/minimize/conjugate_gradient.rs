@@ -1,0 +1,321 @@
+use super::{Goal, Minimized, Minimizer, RUNAWAY, Report};
+use crate::comm::{FusedSums, Grid, Sums, Totals};
+use crate::engine::{EngineError, System};
+use crate::geometry::{Vec2, dot};
+use crate::model::Model;
+
+/// Nonlinear conjugate gradients after Polak and Ribière, β never negative (PR+: Nocedal and Wright, Numerical
+/// Optimization, Eqs. 5.44 and 5.45), at little more than one force evaluation a step.
+///
+/// A line search would take a second one. But as long as no contact opens or closes the forces along a line are
+/// almost linear: those at its start, g, and at the end of a trial step, F, tell where the slope vanishes, at
+/// t = g·d/(g·d − F·d) of the trial step (the secant), and the forces there, g + t (F − g). That point is the base of
+/// the next direction; it is passed on the way to the next trial point, not visited. Forces of the base are thus
+/// interpolated, with an error that the next step multiplies by 1 − t, so that it dies out: only evaluated forces tell
+/// whether the state is relaxed. Where t is far from 1 the same line is tried again at its zero.
+///
+/// One collective operation per evaluation: F·d, F·f and F·g are summed, all other products follow from them.
+/// For particles of many points f are the forces with rigid motions lighter (`Model::lighten`), the preconditioner;
+/// elsewhere f = F.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ConjugateGradient;
+
+/// Zeros of the slope between these parts of a trial step are interpolated; others are gone to.
+const NEAR: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+/// How often one line is tried again.
+const TRIALS: u32 = 3;
+/// A further trial is at least and at most so many times as long as the last.
+const SHRINK: f64 = 0.1;
+const GROW: f64 = 4.0;
+/// A direction descends when its slope is more than this part of steepest descent's.
+const LEAST_SLOPE: f64 = 1e-3;
+
+/// The point that a line starts from: products of its forces g, with g·g short for that of forces and lightened forces.
+#[derive(Clone, Copy, Debug, Default)]
+struct Base {
+    /// g·g.
+    square: f64,
+    /// g·d, not positive before the first step.
+    slope: f64,
+    /// Bound on any |g|.
+    largest: f64,
+}
+
+/// What one step is decided by: forces F and lightened forces f at the trial point.
+#[derive(Clone, Copy, Debug)]
+struct Trial {
+    /// F·d.
+    slope: f64,
+    /// F·f.
+    square: f64,
+    /// F·g.
+    overlap: f64,
+    max_force: f64,
+    max_lightened: f64,
+    max_direction: f64,
+}
+
+impl Minimizer for ConjugateGradient {
+    fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
+        // no point moves farther than twice this in one step: once along the old direction, once along the new
+        let cap = 0.5 * system.model.step_cap();
+        // d and g
+        system.carry(2);
+        let mut sums = FusedSums::default();
+        let mut base = Base::default();
+        // of the trial step, in units of d; the step of steepest descent that is stable for the stiffest mode at first
+        let mut length = system.model.time_step().powi(2);
+        let mut trials = 0;
+        let mut report = Report::default();
+        loop {
+            let trial = measure(system, &mut sums)?;
+            report.force_evaluations += 1;
+            report.max_force = trial.max_force;
+            if trial.max_force.is_nan() || trial.max_force >= RUNAWAY {
+                let particle = system.offender(RUNAWAY).unwrap_or_default();
+                return Err(EngineError::Runaway { particle });
+            }
+            if trial.max_force <= goal.force_tolerance {
+                return Ok(Minimized::Converged(report));
+            }
+            if report.iterations >= goal.max_iterations {
+                return Ok(Minimized::Unconverged(report));
+            }
+            report.iterations += 1;
+
+            // where the slope vanishes, in trial steps
+            let zero = match base.slope - trial.slope {
+                _ if base.slope <= 0.0 => 1.0,
+                fall if fall > 0.0 => base.slope / fall,
+                _ => f64::INFINITY,
+            };
+            let longest = (cap / trial.max_direction).max(length);
+            if !NEAR.contains(&zero) && trials < TRIALS && (zero < 1.0 || length < longest) {
+                trials += 1;
+                let further = (length * zero.clamp(SHRINK, GROW)).min(longest) - length;
+                length += further;
+                let bound = further.abs() * trial.max_direction;
+                system.move_points_keeping(
+                    bound * (1.0 + 1e-9),
+                    |pbox, positions, directions, _, _| {
+                        for (position, d) in positions.iter_mut().zip(directions) {
+                            *position = pbox.moved(*position, [further * d[0], further * d[1]]);
+                        }
+                    },
+                    |_, _| (),
+                );
+                continue;
+            }
+            trials = 0;
+            // the new base lies at t; elsewhere than near its end the line is not known well enough, and t = 1
+            let t = if NEAR.contains(&zero) { zero } else { 1.0 };
+            let s = 1.0 - t;
+            let along = s * base.slope + t * trial.slope;
+            let overlap = s * base.square + t * trial.overlap;
+            let square = (s * (overlap + t * trial.overlap) + t * t * trial.square).max(0.0);
+            let mut beta = if base.slope > 0.0 { ((square - overlap) / base.square).max(0.0) } else { 0.0 };
+            let descends = square + beta * along > LEAST_SLOPE * square;
+            if !descends {
+                beta = 0.0;
+            }
+            let largest = s.abs() * base.largest + t * trial.max_lightened;
+            base = Base { square, slope: square + beta * along, largest };
+
+            let back = -s * length;
+            let max_direction = largest + beta * trial.max_direction;
+            let bound = back.abs() * trial.max_direction;
+            length = (t * length).min(cap / max_direction);
+            system.move_points_keeping(
+                (bound + length * max_direction) * (1.0 + 1e-9),
+                |pbox, positions, directions, bases, forces| {
+                    for (((position, direction), g), f) in positions.iter_mut().zip(directions).zip(bases).zip(forces) {
+                        let old = *direction;
+                        let d: Vec2 = [s * g[0] + t * f[0] + beta * old[0], s * g[1] + t * f[1] + beta * old[1]];
+                        *direction = d;
+                        *position =
+                            pbox.moved(*position, [back * old[0] + length * d[0], back * old[1] + length * d[1]]);
+                    }
+                },
+                |bases, forces| {
+                    for (g, f) in bases.iter_mut().zip(forces) {
+                        *g = [s * g[0] + t * f[0], s * g[1] + t * f[1]];
+                    }
+                },
+            );
+        }
+    }
+}
+
+/// Forces at the present positions, and what the step is decided by: one fused reduction, repeated only when the terms
+/// have outgrown the grids of the sums.
+fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<3>) -> Result<Trial, EngineError> {
+    let partial = |grids: &[Grid; 3], forces: &[Vec2], lightened: &[Vec2], directions: &[Vec2], bases: &[Vec2]| {
+        let mut totals = Totals::default();
+        for (((&force, &f), &d), &g) in forces.iter().zip(lightened).zip(directions).zip(bases) {
+            let terms = [dot(force, d), dot(force, f), dot(force, g)];
+            totals.add(grids, terms, [dot(force, force), dot(f, f), dot(d, d)]);
+        }
+        totals
+    };
+    let grids = fused.grids;
+    let mut totals = system
+        .evaluate(
+            |chunk, particles, forces, lightened| {
+                let [directions, bases] = [0, 1].map(|k| &particles.carried[k][chunk.points.clone()]);
+                partial(&grids, forces, lightened, directions, bases)
+            },
+            Totals::merged,
+        )?
+        .unwrap_or_default();
+    loop {
+        system.comm.combine(&mut totals);
+        if let Some(Sums { sum: [slope, square, overlap], extremes }) = fused.settle(&totals) {
+            let [max_force, max_lightened, max_direction] = extremes.map(f64::sqrt);
+            return Ok(Trial { slope, square, overlap, max_force, max_lightened, max_direction });
+        }
+        let [directions, bases] = [0, 1].map(|k| &system.particles().carried[k][..]);
+        totals = partial(&fused.grids, system.forces(), system.lightened_forces(), directions, bases);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::comm::Comm;
+    use crate::geometry::PeriodicBox;
+    use crate::minimize::Fire;
+    use crate::model::SoftDisks;
+    use crate::particles::{Bodies, Particles};
+
+    const EDGE: f64 = 10.0;
+
+    fn disks(centers: &[Vec2]) -> System<SoftDisks> {
+        let pbox = PeriodicBox::square(EDGE);
+        let mut particles = Particles::empty(&Bodies::Disks);
+        for (id, &center) in centers.iter().enumerate() {
+            particles.push(id as u32, 1.0, &[pbox.frac(center)]);
+        }
+        let model = SoftDisks { epsilon: 1.0, smallest: 1.0 };
+        System::new(Comm::alone(), model, pbox, &pbox, particles, 0.3).unwrap()
+    }
+
+    /// Disks at the points of a low-discrepancy sequence.
+    fn scattered(n: usize) -> System<SoftDisks> {
+        let part = |k: usize, step: f64| EDGE * (k as f64 * step).fract();
+        disks(&(0..n).map(|k| [part(k, 0.754_877_666), part(k, 0.569_840_291)]).collect::<Vec<_>>())
+    }
+
+    /// Disks in a row around the box that is too short for them by `squeeze` a disk; one is moved off it.
+    fn row(n: usize, squeeze: f64, aside: f64) -> System<SoftDisks> {
+        let spacing = 1.0 - squeeze;
+        assert!((spacing * n as f64 - EDGE).abs() < 1e-9);
+        let at = |k: usize| [k as f64 * spacing, 5.0 + if k == 3 { aside } else { 0.0 }];
+        disks(&(0..n).map(at).collect::<Vec<_>>())
+    }
+
+    fn relax(system: &mut System<SoftDisks>, minimizer: impl Minimizer, force_tolerance: f64) -> Report {
+        let minimized = minimizer.minimize(system, &Goal { force_tolerance, max_iterations: 20_000 }).unwrap();
+        assert!(minimized.is_converged(), "{minimized:?}");
+        *minimized.report()
+    }
+
+    #[test]
+    fn a_dense_packing_is_relaxed_in_fewer_evaluations() {
+        let (mut one, mut other) = (scattered(120), scattered(120));
+        let before = one.energies().unwrap().total;
+        let (cg, fire) = (relax(&mut one, ConjugateGradient, 1e-13), relax(&mut other, Fire, 1e-13));
+        assert!(one.max_force().unwrap() <= 1e-13);
+        let (least, by_fire) = (one.energies().unwrap().total, other.energies().unwrap().total);
+        assert!(
+            0.0 < least && least < 0.5 * before && (least / by_fire - 1.0).abs() < 0.2,
+            "{least} {by_fire} {before}"
+        );
+        assert!(cg.force_evaluations < fire.force_evaluations, "{cg:?} {fire:?}");
+    }
+
+    #[test]
+    fn a_small_compression_ends_in_the_minimum_that_fire_finds() {
+        let mut start = scattered(120);
+        relax(&mut start, Fire, 1e-13);
+        let tighter = start.pbox().with_area(0.9999 * start.pbox().area());
+        let [cg, fire] = [true, false].map(|conjugate| {
+            let mut system = scattered(120);
+            system.restore(tighter, start.own_particles());
+            let report =
+                if conjugate { relax(&mut system, ConjugateGradient, 1e-13) } else { relax(&mut system, Fire, 1e-13) };
+            (system.energies().unwrap().total, report.force_evaluations)
+        });
+        assert!((cg.0 / fire.0 - 1.0).abs() < 1e-9, "{cg:?} {fire:?}");
+        assert!(cg.1 < fire.1, "{cg:?} {fire:?}");
+    }
+
+    #[test]
+    fn a_floppy_state_is_left_without_energy() {
+        let mut system = scattered(70);
+        assert!(system.energies().unwrap().total > 1e-3);
+        let report = relax(&mut system, ConjugateGradient, 1e-13);
+        assert!(report.force_evaluations < 1500, "{report:?}");
+        assert!(system.energies().unwrap().total < 1e-22);
+    }
+
+    #[test]
+    fn a_contact_that_opens_on_the_way() {
+        // the middle one is pushed off the left, far past what the slope at the start tells
+        let mut system = disks(&[[1.0, 5.0], [1.3, 5.0], [2.9, 5.0]]);
+        relax(&mut system, ConjugateGradient, 1e-13);
+        assert!(system.energies().unwrap().total < 1e-24);
+    }
+
+    #[test]
+    fn a_straight_row_buckles() {
+        // balanced along the row, unstable across it: negative curvature from the first step
+        let mut system = row(11, 1.0 / 11.0, 1e-6);
+        let before = system.energies().unwrap().total;
+        relax(&mut system, ConjugateGradient, 1e-12);
+        let after = system.energies().unwrap().total;
+        assert!(after < 1e-6 * before, "{before} {after}");
+    }
+
+    #[test]
+    fn coincident_disks_part_when_a_third_pushes() {
+        // by themselves they feel nothing
+        let mut pair = disks(&[[5.0, 5.0], [5.0, 5.0]]);
+        assert_eq!(relax(&mut pair, ConjugateGradient, 1e-12).iterations, 0);
+        let mut three = disks(&[[5.0, 5.0], [5.0, 5.0], [5.6, 5.3]]);
+        relax(&mut three, ConjugateGradient, 1e-12);
+        assert!(three.max_force().unwrap() <= 1e-12);
+    }
+
+    #[test]
+    fn the_limit_of_iterations_and_of_a_step() {
+        let mut system = scattered(120);
+        let before = system.own_particles();
+        for iterations in [0, 1, 7] {
+            system.restore(*system.pbox(), before.clone());
+            let outcome = ConjugateGradient
+                .minimize(&mut system, &Goal { force_tolerance: 0.0, max_iterations: iterations })
+                .unwrap();
+            assert_eq!(outcome.report().iterations, iterations);
+            assert_eq!(outcome.report().force_evaluations, iterations + 1);
+            assert!(!outcome.is_converged());
+            let moved = |p: usize| {
+                let id = system.particles().id[p] as usize;
+                let start = before.id.iter().position(|&b| b as usize == id).unwrap();
+                let d = system.pbox().displacement(system.particles().position[p], before.position[start]);
+                dot(d, d).sqrt()
+            };
+            let farthest = (0..system.particles().len()).map(moved).fold(0.0, f64::max);
+            assert!(farthest <= iterations as f64 * 0.1 * (1.0 + 1e-9), "{iterations}: {farthest}");
+        }
+    }
+
+    #[test]
+    fn forces_that_run_away_end_it() {
+        let mut system = scattered(120);
+        system.model.epsilon = 1e13;
+        let goal = Goal { force_tolerance: 1e-12, max_iterations: 10 };
+        assert!(matches!(ConjugateGradient.minimize(&mut system, &goal), Err(EngineError::Runaway { .. })));
+        system.model.epsilon = f64::NAN;
+        assert!(matches!(ConjugateGradient.minimize(&mut system, &goal), Err(EngineError::Runaway { .. })));
+    }
+}
