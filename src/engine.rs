@@ -289,6 +289,11 @@ impl<M: Model> System<M> {
             &|chunk, position, vectors| step(pbox, position, vectors, &forces[chunk.points.clone()]),
             &|(), ()| (),
         );
+        self.moved(bound);
+    }
+
+    /// Own points have moved, none farther than `bound`.
+    fn moved(&mut self, bound: f64) {
         self.travel_bound += bound;
         self.since_narrowed += bound;
         self.last_move = bound;
@@ -326,8 +331,7 @@ impl<M: Model> System<M> {
             &|chunk, second, _| keep(second, &forces[chunk.points.clone()]),
             &|(), ()| (),
         );
-        self.travel_bound += bound;
-        self.halo_is_old = true;
+        self.moved(bound);
     }
 
     /// Evaluates the forces on all own points, then calls `reduce` on each chunk while it is in the cache, with its
@@ -414,10 +418,8 @@ impl<M: Model> System<M> {
     /// Hands particles to the owners of their centres, then collects the foreign points that the new lists name.
     fn rebuild(&mut self) -> Result<(), EngineError> {
         self.counters.rebuilds += 1;
-        // its memory is wanted for the new one
-        self.list = M::List::default();
+        self.list = M::List::default(); // its memory is wanted for the new one
         self.particles.forget_foreign();
-        self.list = M::List::default(); // not there twice
         self.migrate();
         self.sort_in_space();
         let owned = self.particles.len();

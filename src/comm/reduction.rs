@@ -129,8 +129,8 @@ const COARSEST: f64 = 1.0 / (1u64 << 20) as f64;
 const MOST_SUMS: usize = 3;
 const WORDS: usize = 3 * MOST_SUMS + EXTREMES;
 
-/// [`Totals`] of any number of sums as one element of an MPI message. To MPI a plain array would be that many elements, which an
-/// implementation may fold in parts.
+/// [`Totals`] of any number of sums as one element of an MPI message. To MPI a plain array would be that many elements,
+/// which an implementation may fold in parts.
 #[derive(Clone, Copy, Default, mpi::traits::Equivalence)]
 #[repr(C)]
 pub(super) struct Block {
