@@ -1,38 +1,18 @@
 //! Forces and stresses of every energy term against finite differences of the energy, in square and sheared boxes.
 
+mod perturbed;
+
 use jamhpc::comm::Comm;
 use jamhpc::engine::{Energies, System};
-use jamhpc::exchange::Configuration;
 use jamhpc::geometry::{PeriodicBox, Vec2, dot, norm, scale, sub};
-use jamhpc::model::{Deformable, DeformableParameters, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
+use jamhpc::model::{Deformable, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
 use jamhpc::particles::Particles;
 use jamhpc::protocol::{Species, deformable_particles};
+use perturbed::*;
 
 /// Fourth-order central difference of f at 0.
 fn derivative(step: f64, f: impl Fn(f64) -> f64) -> f64 {
     (8.0 * (f(step) - f(-step)) - (f(2.0 * step) - f(-2.0 * step))) / (12.0 * step)
-}
-
-/// Numbers in (−1, 1) that look random and never change.
-fn noise(k: usize) -> f64 {
-    let x = (k as f64 + 1.0) * 0.618_033_988_749_895;
-    let y = (x - x.floor()) * 57.0 * (1.0 + x.sqrt());
-    2.0 * (y - y.floor()) - 1.0
-}
-
-/// A configuration with all its points moved by a random bit, in a box of another shape.
-fn shaken(text: &str, by: f64, shape: impl Fn(PeriodicBox) -> PeriodicBox) -> (PeriodicBox, Particles) {
-    let configuration = Configuration::read(text).unwrap();
-    let mut particles = configuration.particles(0, 1);
-    let pbox = configuration.pbox();
-    for (k, point) in particles.position.iter_mut().enumerate() {
-        *point = pbox.moved(*point, [by * noise(2 * k), by * noise(2 * k + 1)]);
-    }
-    (shape(pbox), particles)
-}
-
-fn system<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles) -> System<M> {
-    System::new(Comm::alone(), model, pbox, &pbox, particles.clone(), 0.01).unwrap()
 }
 
 fn energies<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles) -> Energies {
@@ -74,61 +54,45 @@ fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, st
     assert!((virial[1] - virial[2]).abs() <= 1e-12 * size, "no torque: {} {}", virial[1], virial[2]);
 }
 
-const DISKS: &str = include_str!("cases/sp_n64_phi090.json");
-const SHEARED: &str = include_str!("cases/dp_random_sheared.json");
-const SQUARE: &str = include_str!("cases/dp_jammed_rho095.json");
-
-/// Deformable particles in a sheared and a square box, with the contact width at which they press into each other.
-fn deformable() -> [(PeriodicBox, Particles, f64); 2] {
-    let (sheared, first) = shaken(SHEARED, 0.003, |b| b);
-    let (square, second) = shaken(SQUARE, 0.01, |b| b);
-    [(sheared, first, 0.12), (square, second, 0.27)]
-}
-
-fn parameters(line_tension: f64, k_area: f64, epsilon: f64, delta: f64) -> DeformableParameters {
-    let contact = Harmonic { epsilon, delta };
-    DeformableParameters { line_tension, k_area, contact, largest_area_per_vertex: 0.1 }
-}
-
 #[test]
 fn soft_disks() {
     for xy in [0.0, 2.3] {
-        let (pbox, particles) = shaken(DISKS, 0.05, |b| PeriodicBox::new(b.lx(), b.ly(), xy));
+        let (pbox, particles) = shaken(DISKS, 0.05, xy);
         check(SoftDisks { epsilon: 1.3, smallest: 1.0 }, pbox, &particles, 1e-5);
     }
 }
 
 #[test]
 fn line_tension() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.0) {
         check(Deformable::<VertexEdge>::new(parameters(1.7, 0.0, 0.0, delta)), pbox, &particles, 1e-4);
     }
 }
 
 #[test]
 fn area() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.0) {
         check(Deformable::<VertexEdge>::new(parameters(0.0, 300.0, 0.0, delta)), pbox, &particles, 1e-4);
     }
 }
 
 #[test]
 fn vertex_edge_contacts() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.0) {
         check(Deformable::<VertexEdge>::new(parameters(0.0, 0.0, 50.0, delta)), pbox, &particles, 2e-6);
     }
 }
 
 #[test]
 fn edge_edge_contacts() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.0) {
         check(Deformable::<EdgeEdge>::new(parameters(0.0, 0.0, 50.0, delta)), pbox, &particles, 2e-6);
     }
 }
 
 #[test]
 fn all_terms_together() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.0) {
         check(Deformable::<VertexEdge>::new(parameters(1.0, 300.0, 50.0, delta)), pbox, &particles, 5e-6);
     }
 }
@@ -142,7 +106,7 @@ fn distance(p: Vec2, u: Vec2) -> f64 {
 /// Both contact sums written out as they are defined, over all vertices and edges of all pairs.
 #[test]
 fn contact_energies_are_the_sums_that_define_them() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.0) {
         let law = Harmonic { epsilon: 50.0, delta };
         let energy = |d: f64| if d < delta { law.energy(d) } else { 0.0 };
         // (start, vector) of every edge, by particle

@@ -1,37 +1,15 @@
 //! The Hessian and the moduli against finite differences of forces and stresses, in square and sheared boxes.
 
-use jamhpc::comm::Comm;
-use jamhpc::engine::System;
-use jamhpc::exchange::Configuration;
-use jamhpc::geometry::{PeriodicBox, Vec2, norm};
+mod perturbed;
+
+use jamhpc::geometry::{PeriodicBox, Vec2};
 use jamhpc::minimize::{Fire, Goal, Minimizer};
-use jamhpc::model::{Deformable, DeformableParameters, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
+use jamhpc::model::{Deformable, EdgeEdge, Model, SoftDisks, VertexEdge};
 use jamhpc::observe::{Moduli, Spectrum, Stability};
 use jamhpc::particles::Particles;
 use jamhpc::protocol::quasi_static_shear_modulus;
 use jamhpc::stiffness::{Stiffness, elastic};
-
-/// Numbers in (−1, 1) that look random and never change.
-fn noise(k: usize) -> f64 {
-    let x = (k as f64 + 1.0) * 0.618_033_988_749_895;
-    let y = (x - x.floor()) * 57.0 * (1.0 + x.sqrt());
-    2.0 * (y - y.floor()) - 1.0
-}
-
-/// A configuration with all its points moved by a random bit, in a box of another tilt.
-fn shaken(text: &str, by: f64, tilt: f64) -> (PeriodicBox, Particles) {
-    let configuration = Configuration::read(text).unwrap();
-    let mut particles = configuration.particles(0, 1);
-    let pbox = configuration.pbox();
-    for (k, point) in particles.position.iter_mut().enumerate() {
-        *point = pbox.moved(*point, [by * noise(2 * k), by * noise(2 * k + 1)]);
-    }
-    (PeriodicBox::new(pbox.lx(), pbox.ly(), pbox.xy() + tilt), particles)
-}
-
-fn system<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles) -> System<M> {
-    System::new(Comm::alone(), model, pbox, &pbox, particles.clone(), 0.01).unwrap()
-}
+use perturbed::*;
 
 fn forces<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles) -> Vec<Vec2> {
     let mut system = system(model, pbox, particles);
@@ -82,6 +60,7 @@ fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, st
         rows.flatten().collect::<Vec<f64>>()
     };
     let minus: Vec<f64> = by_id(&product).iter().map(|x| -x).collect();
+    assert!(slope.iter().any(|&x| x != 0.0), "nothing to compare");
     close("H u", &minus, &slope, 1e-7);
 
     let affine = stiffness.affine_forces(&here);
@@ -95,6 +74,7 @@ fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, st
             _ => PeriodicBox::new(lx, ly * (1.0 + e), xy),
         };
         let slope = derivative(step, |e| forces(model, box_of(e), &stored).concat());
+        assert!(slope.iter().any(|&x| x != 0.0), "nothing to compare");
         close(&format!("affine forces {name}"), &by_id(&affine[component]), &slope, 1e-7);
         // dU/dE = −A Σ F⁻ᵀ: with these strains the component itself, over 1 + e for a stretch
         let work = derivative(step, |e| {
@@ -113,21 +93,6 @@ fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, st
     assert!((whole[4] - whole[5] - work).abs() <= 1e-9 * size, "{} - {} against {work}", whole[4], whole[5]);
 }
 
-const DISKS: &str = include_str!("cases/sp_n64_phi090.json");
-const SHEARED: &str = include_str!("cases/dp_random_sheared.json");
-const SQUARE: &str = include_str!("cases/dp_jammed_rho095.json");
-
-fn deformable() -> [(PeriodicBox, Particles, f64); 2] {
-    let (sheared, first) = shaken(SHEARED, 0.003, 0.0);
-    let (square, second) = shaken(SQUARE, 0.01, 0.3);
-    [(sheared, first, 0.12), (square, second, 0.27)]
-}
-
-fn parameters(line_tension: f64, k_area: f64, epsilon: f64, delta: f64) -> DeformableParameters {
-    let contact = Harmonic { epsilon, delta };
-    DeformableParameters { line_tension, k_area, contact, largest_area_per_vertex: 0.1 }
-}
-
 #[test]
 fn soft_disks() {
     for tilt in [0.0, 2.3] {
@@ -138,28 +103,28 @@ fn soft_disks() {
 
 #[test]
 fn line_tension() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.3) {
         check(Deformable::<VertexEdge>::new(parameters(1.7, 0.0, 0.0, delta)), pbox, &particles, 1e-5);
     }
 }
 
 #[test]
 fn area() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.3) {
         check(Deformable::<VertexEdge>::new(parameters(0.0, 300.0, 0.0, delta)), pbox, &particles, 1e-5);
     }
 }
 
 #[test]
 fn vertex_edge_contacts() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.3) {
         check(Deformable::<VertexEdge>::new(parameters(0.0, 0.0, 50.0, delta)), pbox, &particles, 1e-7);
     }
 }
 
 #[test]
 fn edge_edge_contacts() {
-    for (pbox, particles, delta) in deformable() {
+    for (pbox, particles, delta) in deformable(0.3) {
         check(Deformable::<EdgeEdge>::new(parameters(0.0, 0.0, 50.0, delta)), pbox, &particles, 1e-7);
     }
 }
@@ -197,7 +162,7 @@ fn jammed_packings() {
     fn moduli<M: Model + Copy>(model: M, text: &str) -> Moduli {
         let (pbox, particles) = shaken(text, 0.0, 0.0);
         let mut system = system(model, pbox, &particles);
-        assert!(system.forces().iter().all(|&f| norm(f) < 1e-9));
+        assert!(system.max_force().unwrap() < 1e-9);
         let moduli = Moduli::of(&mut system).unwrap();
         assert_eq!(moduli.stability, Stability::Stable, "{moduli:?}");
         moduli
@@ -268,9 +233,9 @@ fn spectra() {
     let loose = Spectrum::of(&mut system(model, wide, &particles)).unwrap().unwrap();
     assert_eq!((loose.n_zero, loose.n_negative), (128, 0));
     // the same packing turned over by a random push is no minimum
-    let (_, shaken) = shaken(DISKS, 0.3, 0.0);
-    assert!(Spectrum::of(&mut system(model, pbox, &shaken)).unwrap().unwrap().n_negative > 0);
-    let (pbox, particles) = self::shaken(SQUARE, 0.0, 0.0);
+    let (_, pushed) = shaken(DISKS, 0.3, 0.0);
+    assert!(Spectrum::of(&mut system(model, pbox, &pushed)).unwrap().unwrap().n_negative > 0);
+    let (pbox, particles) = shaken(SQUARE, 0.0, 0.0);
     let model = Deformable::<VertexEdge>::new(parameters(1.0, 100.0, 1e4, 0.1));
     let polygons = Spectrum::of(&mut system(model, pbox, &particles)).unwrap().unwrap();
     assert_eq!(polygons.eigenvalues.len(), 2 * particles.owned_points());

@@ -224,7 +224,10 @@ impl Comm {
         let mut length = bytes.len() as u64;
         root.broadcast_into(&mut length);
         let mut bytes = if self.is_root() { bytes } else { vec![0; length as usize] };
-        root.broadcast_into(&mut bytes[..]);
+        if length > 0 {
+            // the address of an empty vector may be one that means something to MPI
+            root.broadcast_into(&mut bytes[..]);
+        }
         bytes
     }
 

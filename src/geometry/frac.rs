@@ -53,9 +53,7 @@ impl Frac {
     pub fn plus(self, raw: [i64; 2]) -> Frac {
         Frac([self.0[0].wrapping_add(raw[0]), self.0[1].wrapping_add(raw[1])])
     }
-}
 
-impl Frac {
     /// The same point when the second box vector has become shorter by `n` times the first: exact.
     pub fn flipped(self, n: i64) -> Frac {
         Frac([self.0[0].wrapping_add(self.0[1].wrapping_mul(n)), self.0[1]])

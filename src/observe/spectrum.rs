@@ -18,7 +18,7 @@ pub struct Spectrum {
 /// Relative to the largest eigenvalue, what counts as zero.
 const ZERO: f64 = 1e-12;
 
-/// Coordinates up to which all eigenvalues are found: a dense matrix, 30 MB and half a minute at this size.
+/// Coordinates up to which all eigenvalues are found: a dense matrix, 32 MB and some seconds at this size.
 pub const MAX_COORDINATES: u64 = 2000;
 
 impl Spectrum {

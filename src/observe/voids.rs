@@ -171,10 +171,8 @@ pub fn rattler_ids<M: Model>(system: &System<M>, contacts: &Contacts) -> Vec<u32
     let words = own.filter(|(_, is_rattler)| **is_rattler).map(|(&id, _)| id as u64).collect();
     let mut ids = system.comm.gather(words).concat();
     ids.sort_unstable();
-    // a message is never empty: after their number
-    let message = [ids.len() as u64].into_iter().chain(ids);
-    let bytes = system.comm.broadcast(message.flat_map(|word| (word as u32).to_le_bytes()).collect());
-    bytes.chunks_exact(4).skip(1).map(|b| u32::from_le_bytes(std::array::from_fn(|k| b[k]))).collect()
+    let bytes = system.comm.broadcast(ids.into_iter().flat_map(|id| (id as u32).to_le_bytes()).collect());
+    bytes.chunks_exact(4).map(|b| u32::from_le_bytes(std::array::from_fn(|k| b[k]))).collect()
 }
 
 fn pack(chain: &Chain, words: &mut Vec<u64>) {

@@ -10,7 +10,7 @@ pub use preconditioner::Preconditioner;
 pub use solve::{Goal, Solution, solve};
 
 use crate::engine::{EngineError, System};
-use crate::geometry::{Polygon, Vec2, dot};
+use crate::geometry::{Polygon, Vec2, dot, scale, sub};
 use crate::model::{Block, Elastic, Model, strained, times};
 use crate::particles::Particles;
 use crate::threads;
@@ -138,35 +138,34 @@ impl Stiffness {
     /// the components xx, xy, yx, yy.
     pub fn affine_forces<M: Model>(&self, system: &System<M>) -> [Vec<Vec2>; 4] {
         let (view, particles) = (system.view(), system.particles());
-        let mut forces: [Vec<Vec2>; 4] = std::array::from_fn(|_| Vec::with_capacity(particles.owned_points()));
-        for p in 0..particles.len() {
-            let points = particles.bodies.points(p);
-            let own_area =
-                if M::BODIES { Polygon::from_vertices(view.pbox, particles.points_of(p)).area() } else { 0.0 };
-            for point in points {
-                // rows sum to zero, so only distances count
-                let mut sum = [[0.0; 2]; 4];
-                for (column, block) in self.row(point) {
-                    let r = view.displacement(*column, point as u32);
-                    for (k, sum) in sum.iter_mut().enumerate() {
-                        let part = times(block, strained(k, r));
-                        *sum = [sum[0] - part[0], sum[1] - part[1]];
+        let rows = threads::map(system.chunks(), |chunk| {
+            let mut rows = Vec::with_capacity(chunk.points.len());
+            for p in chunk.particles.clone() {
+                let area =
+                    if M::BODIES { Polygon::from_vertices(view.pbox, particles.points_of(p)).area() } else { 0.0 };
+                for point in particles.bodies.points(p) {
+                    // rows sum to zero, so only distances count
+                    let mut sum = [[0.0; 2]; 4];
+                    for (column, block) in self.row(point) {
+                        let r = view.displacement(*column, point as u32);
+                        for (k, sum) in sum.iter_mut().enumerate() {
+                            *sum = sub(*sum, times(block, strained(k, r)));
+                        }
                     }
-                }
-                if M::BODIES {
-                    // the area changes by a tr E
-                    let g = self.area_gradient[point];
-                    let push = self.area_stiffness * own_area;
-                    for k in [0, 3] {
-                        sum[k] = [sum[k][0] - push * g[0], sum[k][1] - push * g[1]];
+                    if M::BODIES {
+                        // the area changes by a tr E
+                        let push = scale(self.area_stiffness * area, self.area_gradient[point]);
+                        for k in [0, 3] {
+                            sum[k] = sub(sum[k], push);
+                        }
                     }
-                }
-                for (column, sum) in forces.iter_mut().zip(sum) {
-                    column.push(sum);
+                    rows.push(sum);
                 }
             }
-        }
-        forces
+            rows
+        })
+        .concat();
+        std::array::from_fn(|k| rows.iter().map(|row| row[k]).collect())
     }
 }
 
