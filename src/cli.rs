@@ -93,7 +93,8 @@ pub enum Command {
         /// Where to write the relaxed configuration
         #[arg(short, long, value_name = "OUT")]
         output: PathBuf,
-        /// Minimiser: inertial relaxation, or conjugate gradients, which are faster for disks
+        /// Minimiser: inertial relaxation; conjugate gradients, which are faster for disks; or Newton's method, which is
+        /// faster for deformable particles
         #[arg(long, value_enum, default_value_t = Method::Fire)]
         method: Method,
         /// Relaxed when no force is above this, in the units of the configuration
@@ -223,13 +224,14 @@ impl ValueEnum for Extra {
 
 impl ValueEnum for Method {
     fn value_variants<'a>() -> &'a [Self] {
-        &[Method::Fire, Method::Cg]
+        &[Method::Fire, Method::Cg, Method::Newton]
     }
 
     fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
         Some(match self {
             Method::Fire => "fire".into(),
             Method::Cg => "cg".into(),
+            Method::Newton => "newton".into(),
         })
     }
 }

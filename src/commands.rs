@@ -6,7 +6,7 @@ use crate::comm::{Comm, Session};
 use crate::exchange;
 use crate::failure::{Failure, exit};
 use crate::frames::{self, Frame};
-use crate::minimize::{ConjugateGradient, Fire, Goal, Minimized, Report};
+use crate::minimize::{ConjugateGradient, Fire, Goal, Minimized, Newton, Report};
 use crate::output::folder::write_whole;
 use crate::output::info;
 use crate::run;
@@ -57,6 +57,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let (relaxed, outcome) = match method {
                 Method::Fire => exchange::minimize(comm, &text, &origin, &Fire, &goal)?,
                 Method::Cg => exchange::minimize(comm, &text, &origin, &ConjugateGradient, &goal)?,
+                Method::Newton => exchange::minimize(comm, &text, &origin, &Newton, &goal)?,
             };
             write(&session.world(), output, &relaxed)?;
             report(outcome, &goal, output)

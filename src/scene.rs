@@ -212,6 +212,8 @@ pub enum Method {
     Fire,
     /// Nonlinear conjugate gradients.
     Cg,
+    /// Newton's method with a sparse factor of the Hessian, through softer contacts.
+    Newton,
 }
 
 /// Neighbour lists.
@@ -479,8 +481,8 @@ const KEYS: &[Key] = &[
     both("shear.until", Float(0.0, 100.0), "0.0"),
     both("shear.step", Float(1e-7, 0.1), "0.01"),
     both("measure.moduli", Bool, "true"),
-    sp("minimize.method", Choice(&["fire", "cg"]), "\"cg\""),
-    dp("minimize.method", Choice(&["fire", "cg"]), "\"fire\""),
+    sp("minimize.method", Choice(&["fire", "cg", "newton"]), "\"cg\""),
+    dp("minimize.method", Choice(&["fire", "cg", "newton"]), "\"fire\""),
     sp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-12"),
     dp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-9"),
     both("minimize.max_iterations", Int(1, 1_000_000_000), "1_000_000"),

@@ -40,7 +40,7 @@ fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, st
     let mut here = system(model, pbox, particles);
     let largest = here.max_force().unwrap();
     assert!(largest > 0.0, "nothing acts");
-    let stiffness = Stiffness::of(&mut here).unwrap();
+    let stiffness = Stiffness::of(&mut here, 1.0).unwrap();
     let stored = here.own_particles();
     let n = stored.owned_points();
     let direction: Vec<Vec2> = (0..n).map(|k| [noise(3 * k), noise(3 * k + 1)]).collect();

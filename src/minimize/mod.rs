@@ -2,9 +2,11 @@
 
 mod conjugate_gradient;
 mod fire;
+mod newton;
 
 pub use conjugate_gradient::ConjugateGradient;
 pub use fire::Fire;
+pub use newton::Newton;
 
 use crate::engine::{EngineError, System};
 use crate::model::Model;

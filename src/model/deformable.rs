@@ -231,7 +231,17 @@ impl<C: Contact> Model for Deformable<C> {
         }
     }
 
-    fn stiffness(&self, view: &View<C::List>, p: usize, mut add: impl FnMut(usize, u32, Block)) {
+    fn softened(&self, factor: f64) -> Option<Self> {
+        let DeformableParameters { contact: Harmonic { epsilon, delta }, .. } = self.parameters;
+        let contact = Harmonic { epsilon: factor * epsilon, delta };
+        Some(Deformable::new(DeformableParameters { contact, ..self.parameters }))
+    }
+
+    fn force_unit(&self) -> f64 {
+        self.parameters.line_tension
+    }
+
+    fn stiffness(&self, view: &View<C::List>, p: usize, prestress: f64, mut add: impl FnMut(usize, u32, Block)) {
         let DeformableParameters { line_tension, k_area, contact, .. } = self.parameters;
         let first = view.particles.bodies.points(p).start;
         let polygon = Polygon::from_vertices(view.pbox, view.particles.points_of(p));
@@ -255,7 +265,7 @@ impl<C: Contact> Model for Deformable<C> {
         C::for_each_touch(contact, view, p, |touch| {
             let who = [touch.ours[0].0, touch.ours[1].0].map(|k| (first + k) as u32);
             let columns = [who[0], who[1], touch.theirs[0].0, touch.theirs[1].0];
-            TouchStiffness::of(contact, &touch)
+            TouchStiffness::of(contact, &touch, prestress)
                 .rows(&touch, |k, column, block| add(touch.ours[k].0, columns[column], block));
         });
     }
@@ -290,7 +300,7 @@ impl<C: Contact> Model for Deformable<C> {
         };
         add_elastic(&mut elastic, |a, b| square * trace(a) * trace(b) + excess * determinant(a, b));
         C::for_each_touch(contact, view, p, |touch| {
-            TouchStiffness::of(contact, &touch).add_elastic(&touch, 0.5, &mut elastic);
+            TouchStiffness::of(contact, &touch, 1.0).add_elastic(&touch, 0.5, &mut elastic);
         });
         elastic
     }

@@ -136,7 +136,17 @@ pub trait Model: Send + Sync {
 
     /// The blocks of the Hessian in the rows of own particle `particle`: `add(point, column, block)` with the point
     /// counted from the particle's first. Blocks of one row and column add up. [`Model::area_stiffness`] is not in it.
-    fn stiffness(&self, view: &View<Self::List>, particle: usize, add: impl FnMut(usize, u32, Block));
+    /// The part that contact forces contribute by turning (pre-stress) is multiplied by `prestress`.
+    fn stiffness(&self, view: &View<Self::List>, particle: usize, prestress: f64, add: impl FnMut(usize, u32, Block));
+
+    /// The same energy with contacts that are softer by a factor, all else unchanged; nothing where contacts are all
+    /// there is, and softer ones the same in another unit.
+    fn softened(&self, factor: f64) -> Option<Self>
+    where
+        Self: Sized;
+
+    /// Size of the forces that shape a packing: line tension γ, or ε/σ_S of disks.
+    fn force_unit(&self) -> f64;
 
     /// The part k ∇a ∇aᵀ of the Hessian that couples all points of own particle `particle`: writes the gradient of its
     /// area by each of its points and returns k. Nothing for disks.

@@ -31,9 +31,9 @@ struct Overlap {
 
 impl SoftDisks {
     /// Second derivative of the energy of an overlap by the separation.
-    fn block(&self, overlap: &Overlap) -> Block {
+    fn block(&self, overlap: &Overlap, prestress: f64) -> Block {
         let law = Harmonic { epsilon: self.epsilon, delta: overlap.contact };
-        of_separation(law, overlap.separation, overlap.distance)
+        of_separation(law, overlap.separation, overlap.distance, prestress)
     }
 
     /// Overlaps of disk i, the force of each as in [`Forces`], to the bit.
@@ -148,9 +148,17 @@ impl Model for SoftDisks {
         Outline::Disk { radius, overlaps }
     }
 
-    fn stiffness(&self, view: &View<DiskList>, i: usize, mut add: impl FnMut(usize, u32, Block)) {
+    fn softened(&self, _factor: f64) -> Option<Self> {
+        None
+    }
+
+    fn force_unit(&self) -> f64 {
+        self.epsilon / self.smallest
+    }
+
+    fn stiffness(&self, view: &View<DiskList>, i: usize, prestress: f64, mut add: impl FnMut(usize, u32, Block)) {
         for overlap in self.overlaps(view, i).filter(|o| o.distance > 0.0) {
-            let block = self.block(&overlap);
+            let block = self.block(&overlap, prestress);
             add(0, i as u32, block);
             add(0, overlap.neighbor, scaled(-1.0, block));
         }
@@ -163,7 +171,7 @@ impl Model for SoftDisks {
     fn elastic(&self, view: &View<DiskList>, i: usize) -> Elastic {
         let mut elastic = [0.0; 10];
         for overlap in self.overlaps(view, i).filter(|o| o.distance > 0.0) {
-            let (block, r) = (self.block(&overlap), overlap.separation);
+            let (block, r) = (self.block(&overlap, 1.0), overlap.separation);
             add_elastic(&mut elastic, |a, b| 0.5 * dot(strained(a, r), times(&block, strained(b, r))));
         }
         elastic

@@ -59,11 +59,12 @@ pub(super) fn along_and_across(n: Vec2, along: f64, across: f64) -> Block {
     added(outer(along - across, n, n), [across, 0.0, 0.0, across])
 }
 
-/// Second derivative of a central law by the separation vector r of length d > 0.
+/// Second derivative of a central law by the separation vector r of length d > 0, the part of its force times
+/// `prestress`.
 #[inline(always)]
-pub(super) fn of_separation(law: Harmonic, r: Vec2, d: f64) -> Block {
+pub(super) fn of_separation(law: Harmonic, r: Vec2, d: f64, prestress: f64) -> Block {
     // φ″ = ε/δ² along, φ′/d across, which is negative: pushing contacts buckle
-    along_and_across(scale(1.0 / d, r), law.epsilon / (law.delta * law.delta), -law.force_over_distance(d))
+    along_and_across(scale(1.0 / d, r), law.epsilon / (law.delta * law.delta), -prestress * law.force_over_distance(d))
 }
 
 /// How the force of a touch answers to motion of its points: with w the motion of the touching places against each
@@ -80,7 +81,7 @@ pub(super) struct TouchStiffness {
 }
 
 impl TouchStiffness {
-    pub fn of(law: Harmonic, touch: &Touch) -> Self {
+    pub fn of(law: Harmonic, touch: &Touch, prestress: f64) -> Self {
         let (s, d) = (touch.separation, norm(touch.separation));
         let sign = if touch.energy < 0.0 { -1.0 } else { 1.0 };
         if d == 0.0 {
@@ -88,7 +89,7 @@ impl TouchStiffness {
         }
         let (side, along) = match touch.slide {
             Slide::None => {
-                return TouchStiffness { a: scaled(sign, of_separation(law, s, d)), ..TouchStiffness::nothing() };
+                return TouchStiffness { a: scaled(sign, of_separation(law, s, d, prestress)), ..TouchStiffness::nothing() };
             }
             Slide::Ours(along) => (-1.0, along),
             Slide::Theirs(along) => (1.0, along),
@@ -97,13 +98,13 @@ impl TouchStiffness {
         // force turns with the edge
         let n = scale(1.0 / d, s);
         let length2 = dot(along, along);
-        let strength = sign * law.force_over_distance(d) * d;
+        let strength = prestress * sign * law.force_over_distance(d) * d;
         TouchStiffness {
             a: outer(sign * law.epsilon / (law.delta * law.delta), n, n),
             b: outer(strength / length2, along, n),
             place: scale(side / length2, along),
             turn: scale(side / length2, s),
-            side,
+            side: side * prestress,
             along,
         }
     }
@@ -125,7 +126,7 @@ impl TouchStiffness {
             Slide::Theirs(_) => [0.0, 0.0, -1.0, 1.0],
         };
         // the share of the force on our points changes as the place moves along our edge
-        let shift = if self.side < 0.0 { [-1.0, 1.0] } else { [0.0; 2] };
+        let shift = if self.side < 0.0 { [self.side, -self.side] } else { [0.0; 2] };
         for who in 0..4 {
             if in_w[who] == 0.0 && in_g[who] == 0.0 {
                 continue;

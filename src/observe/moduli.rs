@@ -59,7 +59,7 @@ impl Moduli {
     pub fn of<M: Model>(system: &mut System<M>) -> Result<Moduli, EngineError> {
         let energies = system.energies()?;
         let affine = elastic(system)?;
-        let stiffness = Stiffness::of(system)?;
+        let stiffness = Stiffness::of(system, 1.0)?;
         let preconditioner = Preconditioner::of(system, &stiffness);
         let forces = stiffness.affine_forces(system);
         let mut moduli = Moduli::default();

@@ -27,7 +27,7 @@ impl Spectrum {
         if 2 * system.n_points() > MAX_COORDINATES {
             return Ok(None);
         }
-        let stiffness = Stiffness::of(system)?;
+        let stiffness = Stiffness::of(system, 1.0)?;
         // row, column and block of each entry, by global names
         let mut words = Vec::new();
         stiffness.for_each_block(system, |row, column, block| {

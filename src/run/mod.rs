@@ -9,7 +9,7 @@ mod table;
 use crate::comm::Comm;
 use crate::engine::{EngineError, System};
 use crate::failure::Failure;
-use crate::minimize::{ConjugateGradient, Fire, Minimizer, Report};
+use crate::minimize::{ConjugateGradient, Fire, Minimizer, Newton, Report};
 use crate::model::{EdgeEdge, Model, VertexEdge};
 use crate::observe::{Moduli, OnsetBracket, Rattlers, Sample, check_no_crossing};
 use crate::output::Folder;
@@ -34,6 +34,7 @@ fn minimized_by<M: Model>(system: System<M>, scene: &Scene, speaks: bool) -> Res
     match scene.minimize.method {
         Method::Fire => keep(system, &Fire, scene, speaks),
         Method::Cg => keep(system, &ConjugateGradient, scene, speaks),
+        Method::Newton => keep(system, &Newton, scene, speaks),
     }
 }
 

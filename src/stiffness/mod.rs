@@ -3,11 +3,13 @@
 //! Like forces, the rows of a point live on its owner and are summed in the order of global ids, so that products and
 //! solutions are the same bits on any number of ranks and threads.
 
+mod cholesky;
 mod preconditioner;
 mod solve;
 
+pub use cholesky::Cholesky;
 pub use preconditioner::Preconditioner;
-pub use solve::{Goal, Solution, solve};
+pub use solve::{Goal, Solution, solve, sum};
 
 use crate::engine::{EngineError, System};
 use crate::geometry::{Polygon, Vec2, dot, scale, sub};
@@ -27,8 +29,8 @@ pub struct Stiffness {
 }
 
 impl Stiffness {
-    /// Assembles H. Collective.
-    pub fn of<M: Model>(system: &mut System<M>) -> Result<Self, EngineError> {
+    /// Assembles H, the part that the present contact forces contribute (pre-stress) times `prestress`. Collective.
+    pub fn of<M: Model>(system: &mut System<M>, prestress: f64) -> Result<Self, EngineError> {
         system.prepare()?;
         let (view, particles) = (system.view(), system.particles());
         let name = names(particles); // the order of sums
@@ -41,7 +43,7 @@ impl Stiffness {
             for p in chunk.particles.clone() {
                 let points = particles.bodies.points(p);
                 rows.resize(rows.len().max(points.len()), Vec::new());
-                system.model.stiffness(&view, p, |point, column, block| rows[point].push((column, block)));
+                system.model.stiffness(&view, p, prestress, |point, column, block| rows[point].push((column, block)));
                 for row in &mut rows[..points.len()] {
                     row.sort_by_key(|&(column, _)| name[column as usize]); // stable: a sum keeps its order
                     let before = entries.len();

@@ -36,7 +36,7 @@ impl Solution {
 }
 
 /// An order-independent sum over all own points of all ranks. Collective.
-fn sum<M: Model>(system: &System<M>, fused: &mut FusedSums<1>, term: impl Fn(usize) -> f64 + Sync) -> f64 {
+pub fn sum<M: Model>(system: &System<M>, fused: &mut FusedSums<1>, term: impl Fn(usize) -> f64 + Sync) -> f64 {
     loop {
         let grids = fused.grids;
         let partial = threads::map(system.chunks(), |chunk| {

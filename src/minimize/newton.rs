@@ -1,0 +1,269 @@
+use super::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, RUNAWAY, Report};
+use crate::comm::FusedSums;
+use crate::engine::{EngineError, System};
+use crate::geometry::{Vec2, dot, norm};
+use crate::model::Model;
+use crate::stiffness::{Cholesky, Stiffness, sum};
+
+/// Newton's method with a sparse factor of the Hessian, led to the minimum through softer contacts.
+///
+/// Hard contacts between soft outlines are what makes deformable particles slow to relax: the stiffest modes are up to
+/// 10⁶ times as stiff as the softest, and where a contact opens or closes a long step along the soft ones excites the
+/// stiff. So contacts are first made softer by [`SOFTEST`], which leaves shapes and positions nearly as they are;
+/// FIRE then relaxes in a thousand steps or so what takes hundreds of thousands with hard contacts. From there the
+/// minimum is followed while contacts harden, [`HARDER`] times at once, each time by some Newton steps, in which the
+/// contact forces of the level before are kept at first (pre-stress). A level that is not reached is tried in smaller
+/// ones; where the minimum itself disappears on the way, FIRE finds the next one. After a small change of a relaxed
+/// state Newton steps at full stiffness are tried first: they follow the minimum of before.
+///
+/// Disks have nothing but contacts: conjugate gradients, then Newton steps at once.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Newton;
+
+/// The softest contacts, as a part of their stiffness: the stiffest modes are then those of the areas.
+const SOFTEST: f64 = 1e-3;
+/// Contacts harden by this factor at once where nothing speaks against it, and by no less than the other.
+const HARDER: f64 = 10.0;
+const HARDER_LEAST: f64 = 1.7;
+/// max|F| of intermediate levels, and that to which FIRE or conjugate gradients go before Newton's method is tried, in
+/// the unit of [`Model::force_unit`].
+const ON_THE_WAY: f64 = 1e-6;
+const ROUGH: f64 = 1e-4;
+/// Largest overlap of contacts, over [`Model::step_cap`], that forces may tell of for a change to count as small.
+const SMALL: f64 = 0.1;
+/// Newton steps after which a level counts as not reached, and after which without much progress.
+const STEPS: u32 = 60;
+const STEPS_IN_VAIN: u32 = 20;
+/// Factors that are tried for one step.
+const SHIFTS: u32 = 40;
+/// Shifts of the Hessian over the stiffest mode of the softest level: the smallest, below all that matters and above
+/// rounding, so that free motions of rattlers have a factor too, and the first where the Hessian is not positive.
+const SHIFT_LEAST: f64 = 1e-11;
+const SHIFT_FIRST: f64 = 1e-5;
+/// A shift that was needed falls by this factor from step to step, one that was too small rises by the other.
+const SHIFT_FALL: f64 = 0.1;
+const SHIFT_RISE: f64 = 4.0;
+/// Longest step of a point over [`Model::step_cap`]; a longer solution is shortened to it, one that is too long by
+/// more than this factor again is replaced by one with a larger shift.
+const LONGEST: f64 = 3.0;
+/// A step ends where the slope has fallen to this part of its first value, or the full step still goes down.
+const SLOPE: f64 = 0.5;
+/// Force evaluations on the way of one step.
+const TRIALS: u32 = 12;
+
+impl Minimizer for Newton {
+    fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
+        let unit = system.model.force_unit();
+        let mut path = Path { goal, unit, stiffest: 0.0, cholesky: Cholesky::default(), report: Report::default() };
+        let converged = match system.model.softened(1.0) {
+            Some(full) => {
+                let outcome = path.through_softer(system, &full);
+                system.model = full;
+                outcome?
+            }
+            None => {
+                path.stiffest = system.model.time_step().powi(-2);
+                path.settle(system, goal.force_tolerance)?
+            }
+        };
+        let report = path.report;
+        Ok(if converged { Minimized::Converged(report) } else { Minimized::Unconverged(report) })
+    }
+}
+
+struct Path<'a> {
+    goal: &'a Goal,
+    /// [`Model::force_unit`].
+    unit: f64,
+    /// Bound on the stiffest mode where contacts are softest.
+    stiffest: f64,
+    cholesky: Cholesky,
+    report: Report,
+}
+
+impl Path<'_> {
+    /// Relaxes with soft contacts, then hardens them; leaves the last model tried in the system.
+    fn through_softer<M: Model>(&mut self, system: &mut System<M>, full: &M) -> Result<bool, EngineError> {
+        let at = |level: f64| full.softened(level).expect("what was softened once can be again");
+        let small = SMALL * full.step_cap() / (4.0 * full.time_step().powi(2));
+        self.stiffest = at(SOFTEST).time_step().powi(-2);
+        if self.forces(system)? <= small {
+            // contact forces as they are after a change of the box say nothing of those at balance: no pre-stress
+            let (pbox, before) = (*system.pbox(), system.own_particles());
+            if self.newton(system, self.goal.force_tolerance, 0.0)? {
+                return Ok(true);
+            }
+            system.restore(pbox, before);
+        }
+        let mut level = SOFTEST;
+        system.model = at(level);
+        if !self.settle(system, ON_THE_WAY * self.unit)? {
+            return Ok(false);
+        }
+        let mut harder = HARDER;
+        while level < 1.0 {
+            let next = (harder * level).min(1.0);
+            let tolerance = if next == 1.0 { self.goal.force_tolerance } else { ON_THE_WAY * self.unit };
+            let (pbox, before) = (*system.pbox(), system.own_particles());
+            system.model = at(next);
+            if self.newton(system, tolerance, level / next)? {
+                harder = (harder * harder).min(HARDER);
+            } else if harder > HARDER_LEAST {
+                system.restore(pbox, before);
+                harder = harder.sqrt();
+                continue;
+            } else if !self.settle(system, tolerance)? {
+                return Ok(false);
+            }
+            level = next;
+        }
+        Ok(true)
+    }
+
+    /// Down to a minimum from wherever the system is; false when the iterations do not suffice.
+    fn settle<M: Model>(&mut self, system: &mut System<M>, tolerance: f64) -> Result<bool, EngineError> {
+        let mut rough = ROUGH * self.unit;
+        loop {
+            let left = self.goal.max_iterations.saturating_sub(self.report.iterations);
+            let goal = Goal { force_tolerance: rough.max(tolerance), max_iterations: left };
+            let minimized =
+                if M::BODIES { Fire.minimize(system, &goal)? } else { ConjugateGradient.minimize(system, &goal)? };
+            let Report { iterations, force_evaluations, max_force } = *minimized.report();
+            self.report.iterations += iterations;
+            self.report.force_evaluations += force_evaluations;
+            self.report.max_force = max_force;
+            tracing::debug!(iterations, max_force, "relaxed roughly");
+            if !minimized.is_converged() {
+                return Ok(false);
+            }
+            if max_force <= tolerance || self.newton(system, tolerance, 1.0)? {
+                return Ok(true);
+            }
+            rough *= 0.1;
+        }
+    }
+
+    /// Newton steps until no force is above `tolerance`; false when that does not go well. The first step takes
+    /// `prestress` times the present contact forces for what they contribute to the Hessian.
+    fn newton<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        tolerance: f64,
+        mut prestress: f64,
+    ) -> Result<bool, EngineError> {
+        let cap = LONGEST * system.model.step_cap();
+        let least = SHIFT_LEAST * self.stiffest;
+        let mut shift = least;
+        let (mut lowest, mut in_vain) = (f64::INFINITY, 0);
+        let mut max_force = self.forces(system)?;
+        for _ in 0..STEPS {
+            if max_force <= tolerance {
+                return Ok(true);
+            }
+            if max_force < 0.7 * lowest {
+                (lowest, in_vain) = (max_force, 0);
+            }
+            in_vain += 1;
+            if in_vain > STEPS_IN_VAIN || self.report.iterations >= self.goal.max_iterations {
+                return Ok(false);
+            }
+            self.report.iterations += 1;
+            let stiffness = Stiffness::of(system, prestress)?;
+            prestress = 1.0;
+            let Some((direction, longest)) = self.direction(system, &stiffness, &mut shift, cap) else {
+                return Ok(false);
+            };
+            let (length, last) = self.along(system, direction, longest, cap, tolerance)?;
+            tracing::trace!(shift, longest, length, max_force = last, "Newton step");
+            if length > 0.3 && last < max_force {
+                shift = (SHIFT_FALL * shift).max(least);
+            }
+            max_force = last;
+        }
+        Ok(max_force <= tolerance)
+    }
+
+    /// The Newton step, with the smallest shift from `shift` on that keeps it short, and the longest displacement in it.
+    fn direction<M: Model>(
+        &mut self,
+        system: &System<M>,
+        stiffness: &Stiffness,
+        shift: &mut f64,
+        cap: f64,
+    ) -> Option<(Vec<Vec2>, f64)> {
+        self.cholesky.load(system, stiffness);
+        for _ in 0..SHIFTS {
+            if self.cholesky.factorize(&system.comm, *shift) {
+                let direction = self.cholesky.solve(system, system.forces());
+                let longest = system.comm.max(direction.iter().map(|&v| norm(v)).fold(0.0, f64::max));
+                if longest <= LONGEST * cap {
+                    return Some((direction, longest));
+                }
+                *shift *= (longest / cap).min(30.0);
+            } else {
+                *shift = (SHIFT_RISE * *shift).max(SHIFT_FIRST * self.stiffest);
+            }
+        }
+        None
+    }
+
+    /// Moves the points along their directions, the longest of which is `longest`, to where the slope has fallen
+    /// enough; how far, in units of the directions, and the largest force there.
+    fn along<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        direction: Vec<Vec2>,
+        longest: f64,
+        cap: f64,
+        tolerance: f64,
+    ) -> Result<(f64, f64), EngineError> {
+        system.carry_these(direction);
+        let mut sums = FusedSums::default();
+        let mut slope = |system: &System<M>| {
+            let (forces, directions) = (system.forces(), &system.particles().carried[0]);
+            sum(system, &mut sums, |i| dot(forces[i], directions[i]))
+        };
+        let first = slope(system);
+        let mut here = 0.0f64;
+        let mut next = (cap / longest).min(1.0);
+        let (mut before, mut beyond) = ((0.0, first), None);
+        for trial in 1.. {
+            let by = next - here;
+            system.move_points(by.abs() * longest * (1.0 + 1e-9), |pbox, positions, directions, _| {
+                for (position, d) in positions.iter_mut().zip(directions) {
+                    *position = pbox.moved(*position, [by * d[0], by * d[1]]);
+                }
+            });
+            here = next;
+            let max_force = self.forces(system)?;
+            let now = slope(system);
+            if max_force <= tolerance || now.abs() <= SLOPE * first || trial == TRIALS {
+                return Ok((here, max_force));
+            }
+            if now < 0.0 {
+                beyond = Some((here, now));
+            } else {
+                before = (here, now);
+            }
+            let Some((end, end_slope)) = beyond else { return Ok((here, max_force)) };
+            // the secant's zero, well inside
+            let (start, start_slope) = before;
+            let zero = start + (end - start) * start_slope / (start_slope - end_slope);
+            let margin = 0.1 * (end - start);
+            next = zero.clamp(start + margin, end - margin);
+        }
+        unreachable!("trials are limited")
+    }
+
+    /// Largest force at the present positions.
+    fn forces<M: Model>(&mut self, system: &mut System<M>) -> Result<f64, EngineError> {
+        let max_force = system.max_force()?;
+        self.report.force_evaluations += 1;
+        self.report.max_force = max_force;
+        if max_force.is_nan() || max_force >= RUNAWAY {
+            let particle = system.offender(RUNAWAY).unwrap_or_default();
+            return Err(EngineError::Runaway { particle });
+        }
+        Ok(max_force)
+    }
+}

@@ -1,0 +1,158 @@
+use super::Stiffness;
+use crate::comm::Comm;
+use crate::engine::System;
+use crate::geometry::Vec2;
+use crate::model::{Block, Model};
+use faer::linalg::solvers::Solve;
+use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
+use faer::sparse::{SparseColMat, SymbolicSparseColMat};
+use faer::{Col, Par, Side};
+
+/// Direct solutions of (H + shift) u = b by a sparse Cholesky factor, which exists where that matrix is positive
+/// definite.
+///
+/// Rank 0 gathers the matrix, in the order of global ids, factors it on one thread and sends each rank its part of a
+/// solution: the same bits on any number of ranks. In two dimensions the work grows little faster than the number of
+/// points. The analysis of the pattern is kept while it stays the same.
+#[derive(Default)]
+pub struct Cholesky {
+    matrix: Option<SparseColMat<usize, f64>>,
+    pattern: Option<SymbolicLlt<usize>>,
+    factor: Option<Llt<usize, f64>>,
+    /// For each rank the places of its points in the order of global ids. Rank 0 only, as the above.
+    places: Vec<Vec<usize>>,
+}
+
+impl Cholesky {
+    /// Takes H. Collective.
+    pub fn load<M: Model>(&mut self, system: &System<M>, stiffness: &Stiffness) {
+        let rows = system.comm.gather(stiffness.lower_rows(system));
+        if system.comm.is_root() {
+            self.assemble(&rows);
+        }
+    }
+
+    /// Factors H + `shift`; false where that is not positive definite. Collective.
+    pub fn factorize(&mut self, comm: &Comm, shift: f64) -> bool {
+        let done = comm.is_root() && self.factorize_here(shift);
+        comm.broadcast(vec![done as u8])[0] == 1
+    }
+
+    fn factorize_here(&mut self, shift: f64) -> bool {
+        let (Some(matrix), Some(pattern)) = (&self.matrix, &self.pattern) else { return false };
+        let mut shifted = matrix.clone();
+        let ends: Vec<usize> = shifted.col_ptr()[1..].to_vec();
+        // the diagonal closes each column of the upper triangle
+        ends.iter().for_each(|&end| shifted.val_mut()[end - 1] += shift);
+        faer::set_global_parallelism(Par::Seq);
+        self.factor = Llt::try_new_with_symbolic(pattern.clone(), shifted.as_ref(), Side::Upper).ok();
+        self.factor.is_some()
+    }
+
+    /// u for the own points, given b there. Collective; call [`Cholesky::factorize`] first.
+    pub fn solve<M: Model>(&self, system: &System<M>, b: &[Vec2]) -> Vec<Vec2> {
+        let comm = &system.comm;
+        let words = |vectors: &[Vec2]| vectors.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<u64>>();
+        let gathered = comm.gather(words(b));
+        let mut parts = vec![Vec::new(); comm.size()];
+        if let Some(factor) = &self.factor {
+            let mut x = Col::<f64>::zeros(2 * self.places.iter().map(Vec::len).sum::<usize>());
+            for (places, part) in self.places.iter().zip(&gathered) {
+                for (&place, v) in places.iter().zip(part.chunks_exact(2)) {
+                    [0, 1].into_iter().for_each(|k| x[2 * place + k] = f64::from_bits(v[k]));
+                }
+            }
+            factor.solve_in_place(x.as_mat_mut());
+            for (places, part) in self.places.iter().zip(&mut parts) {
+                part.extend(places.iter().flat_map(|&place| [0, 1].map(|k| x[2 * place + k].to_bits())));
+            }
+        }
+        let mine = comm.all_to_all(parts).swap_remove(0);
+        mine.chunks_exact(2).map(|v| [f64::from_bits(v[0]), f64::from_bits(v[1])]).collect()
+    }
+
+    /// The upper triangle by columns, from rows of the lower one in any order.
+    fn assemble(&mut self, rows_of_ranks: &[Vec<u64>]) {
+        let mut rows: Vec<(u64, &[u64])> = Vec::new();
+        let mut names_of_ranks = Vec::new();
+        for mut words in rows_of_ranks.iter().map(|w| &w[..]) {
+            let mut names = Vec::new();
+            while let [name, length, rest @ ..] = words {
+                let (row, others) = rest.split_at(*length as usize);
+                rows.push((*name, row));
+                names.push(*name);
+                words = others;
+            }
+            names_of_ranks.push(names);
+        }
+        rows.sort_unstable_by_key(|&(name, _)| name);
+        // names are (id, place in the particle), so that a particle's points stand together
+        let particles = rows.last().map_or(0, |&(name, _)| (name >> 32) as usize + 1);
+        let mut first = vec![usize::MAX; particles];
+        for (place, &(name, _)) in rows.iter().enumerate() {
+            let slot = &mut first[(name >> 32) as usize];
+            *slot = place.min(*slot);
+        }
+        let place = |name: u64| first[(name >> 32) as usize] + name as u32 as usize;
+        self.places = names_of_ranks.iter().map(|names| names.iter().map(|&n| place(n)).collect()).collect();
+
+        let n = 2 * rows.len();
+        let (mut start, mut index, mut values) = (vec![0], Vec::new(), Vec::new());
+        for (i, &(_, row)) in rows.iter().enumerate() {
+            for c in 0..2 {
+                for entry in row.chunks_exact(5) {
+                    let j = place(entry[0]);
+                    for r in (0..2).filter(|&r| j < i || r <= c) {
+                        index.push(2 * j + r);
+                        values.push(f64::from_bits(entry[1 + 2 * c + r]));
+                    }
+                }
+                start.push(index.len());
+            }
+        }
+        let same = |m: &SparseColMat<usize, f64>| m.col_ptr() == start && m.row_idx() == index;
+        let is_known = self.matrix.as_ref().is_some_and(same);
+        let matrix = SparseColMat::new(SymbolicSparseColMat::new_checked(n, n, start, None, index), values);
+        if !is_known {
+            self.pattern = SymbolicLlt::try_new(matrix.symbolic(), Side::Upper).ok();
+        }
+        self.matrix = Some(matrix);
+        self.factor = None;
+    }
+}
+
+impl Stiffness {
+    /// The own rows of the lower triangle of H, area term included, in words: the global name of the row's point, the
+    /// number of words that follow for it, then name and block of each column, ascending.
+    fn lower_rows<M: Model>(&self, system: &System<M>) -> Vec<u64> {
+        let particles = system.particles();
+        let name = super::names(particles);
+        let mut words = Vec::new();
+        let mut row: Vec<(u64, Block)> = Vec::new();
+        for p in 0..particles.len() {
+            let points = particles.bodies.points(p);
+            for i in points.clone() {
+                row.clear();
+                row.extend(self.row(i).iter().map(|&(j, block)| (name[j as usize], block)));
+                row.retain(|&(other, _)| other <= name[i]);
+                if row.last().is_none_or(|&(other, _)| other < name[i]) {
+                    row.push((name[i], [0.0; 4]));
+                }
+                if M::BODIES {
+                    // the area couples all points of the particle: they stand at the end of the row
+                    let own = row.partition_point(|&(other, _)| other < name[points.start]);
+                    let mut listed = row.split_off(own).into_iter().peekable();
+                    for j in points.start..=i {
+                        let (g, h) = (self.area_gradient[i], self.area_gradient[j]);
+                        let area = [g[0] * h[0], g[0] * h[1], g[1] * h[0], g[1] * h[1]].map(|x| self.area_stiffness * x);
+                        let block = listed.next_if(|&(other, _)| other == name[j]).map_or([0.0; 4], |(_, block)| block);
+                        row.push((name[j], std::array::from_fn(|k| area[k] + block[k])));
+                    }
+                }
+                words.extend([name[i], 5 * row.len() as u64]);
+                words.extend(row.iter().flat_map(|(other, b)| [*other, b[0].to_bits(), b[1].to_bits(), b[2].to_bits(), b[3].to_bits()]));
+            }
+        }
+        words
+    }
+}
