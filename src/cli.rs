@@ -93,9 +93,9 @@ pub enum Command {
         /// Where to write the relaxed configuration
         #[arg(short, long, value_name = "OUT")]
         output: PathBuf,
-        /// Minimiser: inertial relaxation; conjugate gradients, which are faster for disks; or Newton's method, which is
-        /// faster for deformable particles
-        #[arg(long, value_enum, default_value_t = Method::Fire)]
+        /// Minimiser: inertial relaxation, conjugate gradients, or Newton's method, which is fastest for deformable
+        /// particles
+        #[arg(long, value_enum, default_value_t = Method::Newton)]
         method: Method,
         /// Relaxed when no force is above this, in the units of the configuration
         #[arg(long, value_name = "F", default_value = "1e-9", value_parser = positive)]

@@ -482,7 +482,7 @@ const KEYS: &[Key] = &[
     both("shear.step", Float(1e-7, 0.1), "0.01"),
     both("measure.moduli", Bool, "true"),
     sp("minimize.method", Choice(&["fire", "cg", "newton"]), "\"cg\""),
-    dp("minimize.method", Choice(&["fire", "cg", "newton"]), "\"fire\""),
+    dp("minimize.method", Choice(&["fire", "cg", "newton"]), "\"newton\""),
     sp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-12"),
     dp("minimize.force_tolerance", Float(1e-16, 1e-3), "1e-9"),
     both("minimize.max_iterations", Int(1, 1_000_000_000), "1_000_000"),
@@ -1023,7 +1023,7 @@ mod tests {
         let scene = parse("model = 'dp'").unwrap();
         assert_eq!((scene.model(), scene.n_particles, scene.seed), (Model::Dp, 64, 1));
         assert_eq!(scene.compression, Compression::Until { until: 0.95, step: 0.01 });
-        assert_eq!(scene.minimize, Minimize { method: Method::Fire, force_tolerance: 1e-9, max_iterations: 1_000_000 });
+        assert_eq!(scene.minimize, Minimize { method: Method::Newton, force_tolerance: 1e-9, max_iterations: 1_000_000 });
         let Physics::Dp(dp) = scene.physics else { panic!() };
         assert_eq!(dp.particles, DpParticles { n_vertices: vec![12, 17], fractions: vec![0.5, 0.5] });
         let expected = DpPotential {

@@ -5,7 +5,7 @@ use crate::systems::*;
 use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::geometry::PeriodicBox;
-use jamhpc::minimize::{ConjugateGradient, Fire, Goal, Minimizer};
+use jamhpc::minimize::{ConjugateGradient, Fire, Goal, Minimizer, Newton};
 use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
 use jamhpc::observe::{Contacts, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
 use jamhpc::protocol::{OnsetSearch, compress_to, find_onset};
@@ -112,6 +112,22 @@ pub fn onset_dp(comm: Comm) -> Outcome {
     let system: System<Deformable<VertexEdge>> = random_dp(comm, 128, unit_box(0.0), 0.7, 0.95);
     let goal = goal(1e-2, 100_000);
     onset(system, Fire, &goal, &OnsetSearch { step: 0.02, smallest_step: 1e-6, pressure: [0.1, 0.5] })
+}
+
+/// Relaxed to where contact forces are rounding, an onset and a state above it.
+pub fn newton_dp(comm: Comm) -> Outcome {
+    let system: System<Deformable<VertexEdge>> = random_dp(comm, 128, unit_box(0.1), 0.7, 0.95);
+    let goal = goal(1e-9, 1_000_000);
+    onset(system, Newton, &goal, &OnsetSearch { step: 0.04, smallest_step: 1e-6, pressure: [1e-4, 1e-2] })
+}
+
+pub fn newton_sp(comm: Comm) -> Outcome {
+    let mut system = random_sp(comm, 256, unit_box(0.1), 0.9, 0.9);
+    let minimized = Newton.minimize(&mut system, &goal(1e-14, 100_000)).unwrap();
+    assert!(minimized.is_converged(), "{minimized:?}");
+    let mut outcome = vec![format!("{:?}", minimized.report())];
+    outcome.extend(describe(&mut system));
+    outcome
 }
 
 /// The packing fraction and all voids of a state, with and without rattlers, to the last bit.

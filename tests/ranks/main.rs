@@ -58,6 +58,8 @@ fn main() -> std::process::ExitCode {
         Case::new("fire_sp", invariance::fire_sp, RANKS_AND_THREADS),
         Case::new("fire_dp", invariance::fire_dp, RANKS_AND_THREADS),
         Case::new("cg_sp", invariance::cg_sp, RANKS_AND_THREADS),
+        Case::new("newton_sp", invariance::newton_sp, ONE_AND_FOUR),
+        Case::new("newton_dp", invariance::newton_dp, FEW),
         Case::new("cg_dp", invariance::cg_dp, ONE_AND_FOUR),
         Case::new("onset_sp", invariance::onset_sp, RANKS_AND_THREADS),
         Case::new("onset_dp", invariance::onset_dp, RANKS_AND_THREADS),
