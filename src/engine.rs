@@ -320,9 +320,7 @@ impl<M: Model> System<M> {
         threads::fold_split(
             &self.chunks,
             (&mut position[..owned], (&mut first[..], &mut second[..])),
-            &|chunk, (position, (first, second))| {
-                step(pbox, position, first, second, &forces[chunk.points.clone()])
-            },
+            &|chunk, (position, (first, second))| step(pbox, position, first, second, &forces[chunk.points.clone()]),
             &|(), ()| (),
         );
         self.moved(bound);
@@ -398,7 +396,9 @@ impl<M: Model> System<M> {
         let steps = self.counters.forces - self.built_at;
         let widths = self.pbox.widths();
         let room = self.grid.narrowest_width(&self.pbox).min(0.5 * widths[0].min(widths[1])) - self.largest_width;
-        if steps > 0 && let Some(skin) = self.model.better_skin(self.skin / steps as f64, room.max(self.skin)) {
+        if steps > 0
+            && let Some(skin) = self.model.better_skin(self.skin / steps as f64, room.max(self.skin))
+        {
             self.skin = skin;
         }
     }

@@ -96,10 +96,9 @@ impl Minimizer for ConjugateGradient {
                 let further = (length * zero.clamp(SHRINK, GROW)).min(longest) - length;
                 length += further;
                 let bound = further.abs() * trial.max_direction;
-                system.move_points_keeping(
-                    bound * (1.0 + 1e-9),
-                    |pbox, positions, directions, _, _| lanes::run(Further { pbox, further, positions, directions }),
-                );
+                system.move_points_keeping(bound * (1.0 + 1e-9), |pbox, positions, directions, _, _| {
+                    lanes::run(Further { pbox, further, positions, directions })
+                });
                 continue;
             }
             trials = 0;
