@@ -46,6 +46,10 @@ impl ProcessGrid {
     }
 
     /// The narrowest side of a subdomain that has to hold a halo: an axis with one subdomain needs none.
+    pub fn narrowest_width(&self, pbox: &PeriodicBox) -> f64 {
+        Self::narrowest(self.shape, pbox)
+    }
+
     fn narrowest(shape: [usize; 2], pbox: &PeriodicBox) -> f64 {
         let widths = pbox.widths();
         let along = (0..2).filter(|&axis| shape[axis] > 1).map(|axis| widths[axis] / shape[axis] as f64);

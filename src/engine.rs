@@ -80,6 +80,9 @@ impl Energies {
 /// evaluations, and pairs picked in vain make each of the others dearer.
 const STEPS_FORESEEN: f64 = 16.0;
 
+/// Particles wander by less than half a skin between list builds, so that not every build need sort them in space.
+const REBUILDS_PER_SORT: u64 = 8;
+
 /// Particles, their box and potential, and the lists that make forces cheap.
 pub struct System<M: Model> {
     pub comm: Comm,
@@ -101,6 +104,8 @@ pub struct System<M: Model> {
     largest_width: f64,
     built_box: PeriodicBox,
     built_position: Vec<Frac>,
+    /// Force evaluations until then.
+    built_at: u64,
     /// No own or foreign point has travelled farther than this since the build; the same on all ranks. Infinite when
     /// not known.
     travel_bound: f64,
@@ -157,6 +162,7 @@ impl<M: Model> System<M> {
             largest_width: 2.0 * largest_radius + range,
             built_box: pbox,
             built_position: Vec::new(),
+            built_at: 0,
             travel_bound: f64::INFINITY,
             since_narrowed: f64::INFINITY,
             narrowed_for: 0.0,
@@ -305,35 +311,21 @@ impl<M: Model> System<M> {
         self.halo_is_old = true;
     }
 
-    /// As [`System::move_points`], for a minimiser that carries two vectors: `step` also reads the second, and then
-    /// `keep` changes it, given the lightened forces.
+    /// As [`System::move_points`], for a minimiser that carries two vectors.
     pub fn move_points_keeping(
         &mut self,
         bound: f64,
-        step: impl Fn(&PeriodicBox, &mut [Frac], &mut [Vec2], &[Vec2], &[Vec2]) + Sync,
-        keep: impl Fn(&mut [Vec2], &[Vec2]) + Sync,
+        step: impl Fn(&PeriodicBox, &mut [Frac], &mut [Vec2], &mut [Vec2], &[Vec2]) + Sync,
     ) {
         let owned = self.particles.owned_points();
         let Particles { position, carried, .. } = &mut self.particles;
         let [first, second] = &mut carried[..] else { panic!("two vectors are carried") };
         let forces = if M::BODIES { &self.lightened } else { &self.forces };
         let pbox = &self.pbox;
-        threads::fold(
+        threads::fold_split(
             &self.chunks,
-            &mut position[..owned],
-            first,
-            &|chunk, position, first| {
-                let points = chunk.points.clone();
-                step(pbox, position, first, &second[points.clone()], &forces[points])
-            },
-            &|(), ()| (),
-        );
-        let nothing = &mut vec![(); owned]; // zero-sized: no memory behind it
-        threads::fold(
-            &self.chunks,
-            second,
-            nothing,
-            &|chunk, second, _| keep(second, &forces[chunk.points.clone()]),
+            (&mut position[..owned], (&mut first[..], &mut second[..])),
+            &|chunk, (position, (first, second))| step(pbox, position, first, second, &forces[chunk.points.clone()]),
             &|(), ()| (),
         );
         self.moved(bound);
@@ -377,7 +369,10 @@ impl<M: Model> System<M> {
 
     /// Lists and foreign positions for the present positions and box. Collective.
     pub fn prepare(&mut self) -> Result<(), EngineError> {
-        if self.stale || !self.lists_hold() {
+        if self.stale {
+            self.rebuild()?;
+        } else if !self.lists_hold() {
+            self.choose_skin();
             self.rebuild()?;
         } else if self.halo_is_old {
             self.halo.update(&self.comm, &mut self.particles.position);
@@ -399,6 +394,18 @@ impl<M: Model> System<M> {
     /// What forces are computed from; call [`System::prepare`] first.
     pub fn view(&self) -> View<'_, M::List> {
         View { pbox: &self.pbox, particles: &self.particles, lists: &self.list }
+    }
+
+    /// The skin that would have been best for the steps that the last lists have served. The same on all ranks.
+    fn choose_skin(&mut self) {
+        let steps = self.counters.forces - self.built_at;
+        let widths = self.pbox.widths();
+        let room = self.grid.narrowest_width(&self.pbox).min(0.5 * widths[0].min(widths[1])) - self.largest_width;
+        if steps > 0
+            && let Some(skin) = self.model.better_skin(self.skin / steps as f64, room.max(self.skin))
+        {
+            self.skin = skin;
+        }
     }
 
     /// Whether every interacting pair is certainly in the lists.
@@ -426,7 +433,9 @@ impl<M: Model> System<M> {
         self.list = M::List::default(); // its memory is wanted for the new one
         self.particles.forget_foreign();
         self.migrate();
-        self.sort_in_space();
+        if self.stale || self.counters.rebuilds.is_multiple_of(REBUILDS_PER_SORT) {
+            self.sort_in_space();
+        }
         let owned = self.particles.len();
         let owned_points = self.particles.owned_points();
         let radius = self.comm.max(self.largest_circumradius());
@@ -457,6 +466,7 @@ impl<M: Model> System<M> {
             self.lightened.resize(owned_points, [0.0; 2]);
         }
         self.built_box = self.pbox;
+        self.built_at = self.counters.forces;
         self.built_position = threads::collect(owned_points, |i| self.particles.position[i]);
         self.travel_bound = 0.0;
         self.since_narrowed = f64::INFINITY;

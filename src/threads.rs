@@ -11,6 +11,24 @@ pub struct Chunk {
     pub points: Range<usize>,
 }
 
+/// Arrays with one item per point, to be cut between two points.
+pub trait Split: Sized + Send {
+    fn split(self, at: usize) -> (Self, Self);
+}
+
+impl<T: Send> Split for &mut [T] {
+    fn split(self, at: usize) -> (Self, Self) {
+        self.split_at_mut(at)
+    }
+}
+
+impl<A: Split, B: Split> Split for (A, B) {
+    fn split(self, at: usize) -> (Self, Self) {
+        let ((a_left, a_right), (b_left, b_right)) = (self.0.split(at), self.1.split(at));
+        ((a_left, b_left), (a_right, b_right))
+    }
+}
+
 /// Calls `work` on every chunk with that chunk's points of two arrays, and merges what it answers. `merge` must not
 /// care about the order (exact sums and maxima do not).
 pub fn fold<A: Send, B: Send, R: Send>(
@@ -20,21 +38,27 @@ pub fn fold<A: Send, B: Send, R: Send>(
     work: &(impl Fn(&Chunk, &mut [A], &mut [B]) -> R + Sync),
     merge: &(impl Fn(R, R) -> R + Sync),
 ) -> Option<R> {
+    fold_split(chunks, (a, b), &|chunk, (a, b)| work(chunk, a, b), merge)
+}
+
+/// [`fold`] over any number of arrays.
+pub fn fold_split<S: Split, R: Send>(
+    chunks: &[Chunk],
+    arrays: S,
+    work: &(impl Fn(&Chunk, S) -> R + Sync),
+    merge: &(impl Fn(R, R) -> R + Sync),
+) -> Option<R> {
     match chunks {
         [] => None,
-        [chunk] => Some(work(chunk, a, b)),
-        _ if rayon::current_num_threads() == 1 => {
-            let origin = chunks[0].points.start;
-            let part = |c: &Chunk| c.points.start - origin..c.points.end - origin;
-            chunks.iter().map(|c| work(c, &mut a[part(c)], &mut b[part(c)])).reduce(merge)
-        }
+        [chunk] => Some(work(chunk, arrays)),
         _ => {
             let (left, right) = chunks.split_at(chunks.len() / 2);
-            let cut = right[0].points.start - left[0].points.start;
-            let (a_left, a_right) = a.split_at_mut(cut);
-            let (b_left, b_right) = b.split_at_mut(cut);
-            let (x, y) =
-                rayon::join(|| fold(left, a_left, b_left, work, merge), || fold(right, a_right, b_right, work, merge));
+            let (a, b) = arrays.split(right[0].points.start - left[0].points.start);
+            let (x, y) = if rayon::current_num_threads() == 1 {
+                (fold_split(left, a, work, merge), fold_split(right, b, work, merge))
+            } else {
+                rayon::join(|| fold_split(left, a, work, merge), || fold_split(right, b, work, merge))
+            };
             match (x, y) {
                 (Some(x), Some(y)) => Some(merge(x, y)),
                 (x, y) => x.or(y),

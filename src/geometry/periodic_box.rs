@@ -126,13 +126,12 @@ impl PeriodicBox {
         a.plus(self.raw(by))
     }
 
-    /// A Cartesian vector shorter than half the box in raw fixed-point units. Cut off, not rounded: half a unit of
-    /// 5·10⁻²⁰ of the box is nothing, and rounding is a library call on the oldest processors.
+    /// A Cartesian vector shorter than half the box in raw fixed-point units, cut off.
     #[inline(always)]
     fn raw(&self, v: Vec2) -> [i64; 2] {
         let x = (v[0] - v[1] * self.inverse[2]) * self.inverse[0];
         let y = v[1] * self.inverse[1];
-        [x as i64, y as i64]
+        [cut_off(x), cut_off(y)]
     }
 
     /// Cartesian position in the cell, both fractions in [0, 1).
@@ -165,6 +164,23 @@ fn inverse(b: &PeriodicBox) -> Matrix2<f64> {
     Matrix2::new(1.0 / b.lx, -b.xy / (b.lx * b.ly), 0.0, 1.0 / b.ly)
 }
 
+/// `x as i64` for |x| < 2⁶³, in operations that every processor has for several numbers at a time: a large and a small
+/// part are rounded to whole numbers by adding 1.5·2⁵², which leaves these in the low bits.
+#[inline(always)]
+fn cut_off(x: f64) -> i64 {
+    const ROUNDER: f64 = 6_755_399_441_055_744.0;
+    const HALF: f64 = 4_294_967_296.0; // 2³²
+    let whole = |x: f64| (x.to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64);
+    let size = x.abs();
+    let large = size * (1.0 / HALF) + ROUNDER;
+    let rest = size - (large - ROUNDER) * HALF; // exact
+    let small = rest + ROUNDER;
+    let too_much = i64::from(small - ROUNDER > rest);
+    let magnitude = (whole(large) << 32).wrapping_add(whole(small)).wrapping_sub(too_much);
+    let sign = x.to_bits() as i64 >> 63;
+    (magnitude ^ sign).wrapping_sub(sign)
+}
+
 /// a/b as a rounded quotient and what the rounding left.
 fn divide(a: f64, b: f64) -> (f64, f64) {
     let q = a / b;
@@ -183,6 +199,13 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #[test]
+        fn reals_are_cut_off_as_scalar_code_does_it(mantissa in -1.0..1.0f64, exponent in -3i32..=63) {
+            for x in [mantissa * 2.0f64.powi(exponent), (mantissa * 9.0).round() * 2.0f64.powi(exponent - 4)] {
+                prop_assert_eq!(cut_off(x), x as i64);
+            }
+        }
+
         #[test]
         fn displacement_undoes_a_move(f: [i64; 2], dx in -2.0..2.0f64, dy in -2.0..2.0f64, xy in -4.0..4.0f64) {
             let b = PeriodicBox::new(9.0, 8.0, xy);

@@ -1,7 +1,8 @@
 use super::{Goal, Minimized, Minimizer, RUNAWAY, Report};
 use crate::comm::{FusedSums, Grid, Sums, Totals};
 use crate::engine::{EngineError, System};
-use crate::geometry::{Vec2, dot};
+use crate::geometry::{Frac, PeriodicBox, Vec2, dot};
+use crate::lanes::{self, Kernel, Lanes};
 use crate::model::Model;
 
 /// Nonlinear conjugate gradients after Polak and Ribière, β never negative (PR+: Nocedal and Wright, Numerical
@@ -95,15 +96,9 @@ impl Minimizer for ConjugateGradient {
                 let further = (length * zero.clamp(SHRINK, GROW)).min(longest) - length;
                 length += further;
                 let bound = further.abs() * trial.max_direction;
-                system.move_points_keeping(
-                    bound * (1.0 + 1e-9),
-                    |pbox, positions, directions, _, _| {
-                        for (position, d) in positions.iter_mut().zip(directions) {
-                            *position = pbox.moved(*position, [further * d[0], further * d[1]]);
-                        }
-                    },
-                    |_, _| (),
-                );
+                system.move_points_keeping(bound * (1.0 + 1e-9), |pbox, positions, directions, _, _| {
+                    lanes::run(Further { pbox, further, positions, directions })
+                });
                 continue;
             }
             trials = 0;
@@ -128,21 +123,85 @@ impl Minimizer for ConjugateGradient {
             system.move_points_keeping(
                 (bound + length * max_direction) * (1.0 + 1e-9),
                 |pbox, positions, directions, bases, forces| {
-                    for (((position, direction), g), f) in positions.iter_mut().zip(directions).zip(bases).zip(forces) {
-                        let old = *direction;
-                        let d: Vec2 = [s * g[0] + t * f[0] + beta * old[0], s * g[1] + t * f[1] + beta * old[1]];
-                        *direction = d;
-                        *position =
-                            pbox.moved(*position, [back * old[0] + length * d[0], back * old[1] + length * d[1]]);
-                    }
-                },
-                |bases, forces| {
-                    for (g, f) in bases.iter_mut().zip(forces) {
-                        *g = [s * g[0] + t * f[0], s * g[1] + t * f[1]];
-                    }
+                    lanes::run(Step { pbox, s, t, beta, back, length, positions, directions, bases, forces });
                 },
             );
         }
+    }
+}
+
+/// Another trial along the same directions.
+struct Further<'a> {
+    pbox: &'a PeriodicBox,
+    further: f64,
+    positions: &'a mut [Frac],
+    directions: &'a [Vec2],
+}
+
+impl Kernel for Further<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, _: impl Lanes) {
+        let Further { pbox, further, positions, directions } = self;
+        for (position, d) in positions.iter_mut().zip(directions) {
+            *position = pbox.moved(*position, [further * d[0], further * d[1]]);
+        }
+    }
+}
+
+/// The step of a run of points: g ← s g + t f, d ← g + beta d, and from the trial point back to the new base and on
+/// along the new direction.
+struct Step<'a> {
+    pbox: &'a PeriodicBox,
+    s: f64,
+    t: f64,
+    beta: f64,
+    back: f64,
+    length: f64,
+    positions: &'a mut [Frac],
+    directions: &'a mut [Vec2],
+    bases: &'a mut [Vec2],
+    forces: &'a [Vec2],
+}
+
+impl Kernel for Step<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, _: impl Lanes) {
+        let Step { pbox, s, t, beta, back, length, positions, directions, bases, forces } = self;
+        for (((position, direction), base), f) in positions.iter_mut().zip(directions).zip(bases).zip(forces) {
+            let old = *direction;
+            let g: Vec2 = [s * base[0] + t * f[0], s * base[1] + t * f[1]];
+            let d: Vec2 = [g[0] + beta * old[0], g[1] + beta * old[1]];
+            (*base, *direction) = (g, d);
+            *position = pbox.moved(*position, [back * old[0] + length * d[0], back * old[1] + length * d[1]]);
+        }
+    }
+}
+
+/// What a run of points adds to the sums and maxima of a step.
+struct Partial<'a> {
+    grids: &'a [Grid; 3],
+    forces: &'a [Vec2],
+    lightened: &'a [Vec2],
+    directions: &'a [Vec2],
+    bases: &'a [Vec2],
+}
+
+impl Kernel for Partial<'_> {
+    type Output = Totals<3>;
+
+    #[inline(always)]
+    fn run(self, _: impl Lanes) -> Totals<3> {
+        let Partial { grids, forces, lightened, directions, bases } = self;
+        let mut totals = Totals::default();
+        for (((&force, &f), &d), &g) in forces.iter().zip(lightened).zip(directions).zip(bases) {
+            let terms = [dot(force, d), dot(force, f), dot(force, g)];
+            totals.add(grids, terms, [dot(force, force), dot(f, f), dot(d, d)]);
+        }
+        totals
     }
 }
 
@@ -150,12 +209,9 @@ impl Minimizer for ConjugateGradient {
 /// have outgrown the grids of the sums.
 fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<3>) -> Result<Trial, EngineError> {
     let partial = |grids: &[Grid; 3], forces: &[Vec2], lightened: &[Vec2], directions: &[Vec2], bases: &[Vec2]| {
-        let mut totals = Totals::default();
-        for (((&force, &f), &d), &g) in forces.iter().zip(lightened).zip(directions).zip(bases) {
-            let terms = [dot(force, d), dot(force, f), dot(force, g)];
-            totals.add(grids, terms, [dot(force, force), dot(f, f), dot(d, d)]);
-        }
-        totals
+        // the compiler sees that these are the same, and reads them once
+        let lightened = if M::BODIES { lightened } else { forces };
+        lanes::run(Partial { grids, forces, lightened, directions, bases })
     };
     let grids = fused.grids;
     let mut totals = system
@@ -182,7 +238,6 @@ fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<3>) -> Result
 mod tests {
     use super::*;
     use crate::comm::Comm;
-    use crate::geometry::PeriodicBox;
     use crate::minimize::Fire;
     use crate::model::SoftDisks;
     use crate::particles::{Bodies, Particles};

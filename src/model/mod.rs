@@ -97,6 +97,12 @@ pub trait Model: Send + Sync {
     /// The neighbour list of all points closer than their range plus `skin`.
     fn list(&self, candidates: &Candidates, skin: f64) -> Self::List;
 
+    /// The skin of the next list, given what was measured with the last: how much of a skin the points use up in a step.
+    /// Never wider than `room`; nothing where the first skin is kept.
+    fn better_skin(&self, _used_per_step: f64, _room: f64) -> Option<f64> {
+        None
+    }
+
     /// Forces on the points of a run of own particles (written, not added), each summed in the order of global ids.
     fn forces(&self, view: &View<Self::List>, particles: Range<usize>, forces: &mut [Vec2]);
 

@@ -15,6 +15,13 @@ pub struct SoftDisks {
     pub smallest: f64,
 }
 
+/// Steps that a list build costs (`cargo bench --bench step`).
+const BUILD: f64 = 15.0;
+/// By how much of itself a step becomes longer with a skin as wide as the smallest disk.
+const PAIRS: f64 = 0.4;
+const LEAST_SKIN: f64 = 0.1;
+const MOST_SKIN: f64 = 1.0;
+
 /// An overlap as felt by disk i.
 struct Overlap {
     /// The other disk.
@@ -111,6 +118,13 @@ impl Model for SoftDisks {
 
     fn list(&self, candidates: &Candidates, skin: f64) -> DiskList {
         DiskList::new(candidates, skin)
+    }
+
+    /// A skin s costs each step [`PAIRS`] s of it in pairs that do not touch, and a list for every s/`used` steps costs
+    /// [`BUILD`] of them: together they are least at this s.
+    fn better_skin(&self, used_per_step: f64, room: f64) -> Option<f64> {
+        let best = (BUILD / PAIRS * used_per_step * self.smallest).sqrt();
+        Some(best.clamp(LEAST_SKIN * self.smallest, MOST_SKIN * self.smallest).min(room))
     }
 
     fn forces(&self, view: &View<DiskList>, particles: Range<usize>, forces: &mut [Vec2]) {

@@ -29,17 +29,32 @@ impl CellList {
 
     /// Visits every point in the cell of `point` and the adjacent ones, each once.
     pub fn for_each_near(&self, point: Frac, mut visit: impl FnMut(u32)) {
+        self.runs_near(point).into_iter().flatten().for_each(|&item| visit(item));
+    }
+
+    /// The same points in runs, some of them empty: cells beside each other in a row are stored one after another, but
+    /// for the ends of the row, which may be neighbours too.
+    #[inline(always)]
+    pub fn runs_near(&self, point: Frac) -> [&[u32]; 6] {
         // points outside an open region count to its outermost cells: adjacency survives
         let at = self.region.bin(point, self.shape);
         let [columns, rows] = [0, 1].map(|axis| self.adjacent(axis, at[axis]));
-        for row in rows.iter().flatten() {
+        let mut runs: [&[u32]; 6] = [&[]; 6];
+        for (row, pair) in rows.iter().flatten().zip(runs.chunks_exact_mut(2)) {
+            let (mut run, mut which) = (0..0, 0);
             for column in columns.iter().flatten() {
                 let cell = row * self.shape[0] + column;
-                for &item in &self.items[self.start[cell] as usize..self.start[cell + 1] as usize] {
-                    visit(item);
+                let [from, to] = [cell, cell + 1].map(|c| self.start[c] as usize);
+                if from != run.end {
+                    // an empty run at the first cell
+                    which = usize::from(!run.is_empty());
+                    run.start = from;
                 }
+                run.end = to;
+                pair[which] = &self.items[run.clone()];
             }
         }
+        runs
     }
 
     /// The distinct cells at most one step from cell `k` along an axis.

@@ -1,7 +1,6 @@
 use super::{Candidates, CellList, PointList};
-use crate::geometry::dot;
-use crate::lanes::LANES;
-use crate::threads;
+use crate::lanes::{self, Kernel, LANES, Lanes};
+use crate::threads::{self, Chunk};
 use std::ops::Range;
 
 /// For each own disk all disks within the sum of their radii plus a skin, in the order of global ids.
@@ -30,25 +29,9 @@ impl DiskList {
     pub fn new(candidates: &Candidates, skin: f64) -> Self {
         let Candidates { pbox, particles, region, chunks, .. } = candidates;
         let largest = threads::largest(particles.len(), |p| particles.size[p]);
-        let cells = CellList::new(pbox, region, &particles.position, largest + skin);
-        let parts = threads::map(chunks, |chunk| {
-            let (mut found, mut neighbors, mut ends) = (Vec::new(), Vec::new(), Vec::new());
-            for i in chunk.particles.clone() {
-                found.clear();
-                cells.for_each_near(particles.position[i], |j| {
-                    let reach = 0.5 * (particles.size[i] + particles.size[j as usize]) + skin;
-                    let d = pbox.displacement(particles.position[j as usize], particles.position[i]);
-                    if j as usize != i && dot(d, d) < reach * reach {
-                        found.push((particles.id[j as usize] as u64) << 32 | j as u64);
-                    }
-                });
-                found.sort_unstable();
-                neighbors.extend(found.iter().map(|&key| key as u32));
-                ends.push(neighbors.len());
-            }
-            Part::new(chunk.particles.start as u32, &neighbors, &ends)
-        });
-        DiskList { parts }
+        let cells = &CellList::new(pbox, region, &particles.position, largest + skin);
+        let part = |chunk: &Chunk| lanes::run(Search { candidates, cells, skin, disks: chunk.particles.clone() });
+        DiskList { parts: threads::map(chunks, part) }
     }
 
     fn part(&self, disk: usize) -> &Part {
@@ -71,13 +54,60 @@ impl DiskList {
     }
 }
 
+/// The neighbours of a chunk of disks, eight candidates tested at a time.
+struct Search<'a> {
+    candidates: &'a Candidates<'a>,
+    cells: &'a CellList,
+    skin: f64,
+    disks: Range<usize>,
+}
+
+impl Kernel for Search<'_> {
+    type Output = Part;
+
+    #[inline(always)]
+    fn run(self, l: impl Lanes) -> Part {
+        let Search { candidates: Candidates { pbox, particles, .. }, cells, skin, disks } = self;
+        let (position, size) = (&particles.position[..], &particles.size[..]);
+        let [unit_x, tilt, unit_y, half, skin] =
+            [pbox.unit()[0], pbox.unit()[1], pbox.unit()[2], 0.5, skin].map(|x| l.splat(x));
+        let (mut found, mut neighbors, mut ends) = (Vec::new(), Vec::new(), Vec::with_capacity(disks.len()));
+        for i in disks.clone() {
+            found.clear();
+            let own = [i as u32; LANES];
+            let ([x, y], own_size) = (l.points(position, &own), l.numbers(size, &own));
+            // no closures: they would not be compiled for wide registers
+            for eight in cells.runs_near(position[i]).into_iter().flat_map(|run| run.chunks(LANES)) {
+                // the disk itself fills up what is left over, and is left out with it
+                let at = <[u32; LANES]>::try_from(eight)
+                    .unwrap_or_else(|_| std::array::from_fn(|k| eight.get(k).copied().unwrap_or(i as u32)));
+                let [other_x, other_y] = l.points(position, &at);
+                let (across, up) = (l.difference(x, other_x), l.difference(y, other_y));
+                let (dx, dy) = (l.add(l.mul(across, unit_x), l.mul(up, tilt)), l.mul(up, unit_y));
+                let reach = l.add(l.mul(half, l.add(own_size, l.numbers(size, &at))), skin);
+                let mut near = l.less(l.add(l.mul(dx, dx), l.mul(dy, dy)), l.mul(reach, reach));
+                while near != 0 {
+                    let j = at[near.trailing_zeros() as usize];
+                    near &= near - 1;
+                    if j as usize != i {
+                        found.push((particles.id[j as usize] as u64) << 32 | j as u64);
+                    }
+                }
+            }
+            found.sort_unstable();
+            neighbors.extend(found.iter().map(|&key| key as u32));
+            ends.push(neighbors.len());
+        }
+        Part::new(disks.start as u32, &neighbors, &ends)
+    }
+}
+
 impl Part {
     /// Of the disks from `first` on, the neighbours of which stand one after another and end at `ends`.
     fn new(first: u32, neighbors: &[u32], ends: &[usize]) -> Part {
         let n = ends.len();
         let row = |i: usize| &neighbors[if i > 0 { ends[i - 1] } else { 0 }..ends[i]];
-        let mut order: Vec<usize> = (0..n).collect();
-        order.sort_by_key(|&i| std::cmp::Reverse(row(i).len()));
+        let order = by_length(n, |i| row(i).len());
         let depth = |eight: &[usize]| 1 + row(eight[0]).len();
         let mut part = Part {
             disks: first..first + n as u32,
@@ -103,6 +133,21 @@ impl Part {
     fn slice(&self, s: usize) -> &[[u32; LANES]] {
         &self.rows[self.start[s] as usize..self.start[s + 1] as usize]
     }
+}
+
+/// All i below `n`, those with the longest rows first, equals in their order.
+fn by_length(n: usize, length: impl Fn(usize) -> usize) -> Vec<usize> {
+    let longest = (0..n).map(&length).max().unwrap_or(0);
+    let mut place = vec![0; longest + 2];
+    (0..n).for_each(|i| place[longest - length(i) + 1] += 1);
+    (0..=longest).for_each(|k| place[k + 1] += place[k]);
+    let mut order = vec![0; n];
+    for i in 0..n {
+        let next = &mut place[longest - length(i)];
+        order[*next] = i;
+        *next += 1;
+    }
+    order
 }
 
 impl PointList for DiskList {

@@ -1,6 +1,7 @@
 //! A scene from beginning to end: random start, onset search, compression, shear, and what is kept of it.
 
 pub mod drawing;
+mod memory;
 mod progress;
 mod records;
 pub mod setup;
@@ -54,6 +55,7 @@ fn keep<M: Model>(
     let outcome = protocol(&mut system, minimizer, scene, &mut records, &mut progress);
     progress.finish();
     let kept = records.finish(&mut system, scene, &folder, outcome.as_ref().err());
+    progress.end(memory::peak(&system.comm, system.n_points()));
     match outcome {
         Ok(()) => kept,
         Err(failure) if kept.is_ok() => {

@@ -46,6 +46,13 @@ impl Progress {
         }
     }
 
+    /// What the whole run took.
+    pub fn end(&self, memory: Option<String>) {
+        if let (true, Some(memory)) = (self.speaks, memory) {
+            eprintln!("{memory}");
+        }
+    }
+
     /// Clears the rewritten line, so that whatever comes next starts on a line of its own.
     pub fn finish(&self) {
         if self.speaks && self.terminal && self.last.is_some() {
