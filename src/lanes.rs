@@ -3,6 +3,9 @@
 //! Every operation is one IEEE operation per lane, rounded as scalar code rounds it (no fused multiply-add, no
 //! estimates), so that results are the same bits on every processor.
 //!
+//! Kernels call these operations outside of closures: a closure handed to other code, as to `map` of an array, need not
+//! be inlined, and is then compiled for the oldest processor.
+//!
 //! This file holds the only `unsafe` code outside of foreign interfaces: the instructions of AVX-512 and the calls of
 //! functions compiled for more than the oldest processor. They halve the time of a force evaluation of soft disks.
 
@@ -52,25 +55,80 @@ pub trait Lanes: Copy {
     type Real: Copy;
     /// Eight fixed-point coordinates.
     type Raw: Copy;
+    /// Eight times yes or no.
+    type Mask: Copy;
 
     fn splat(self, x: f64) -> Self::Real;
+    /// The first eight numbers.
+    fn load(self, from: &[f64]) -> Self::Real;
+    /// To the first eight places.
+    fn store(self, x: Self::Real, to: &mut [f64]);
     fn add(self, a: Self::Real, b: Self::Real) -> Self::Real;
     fn sub(self, a: Self::Real, b: Self::Real) -> Self::Real;
     fn mul(self, a: Self::Real, b: Self::Real) -> Self::Real;
     fn div(self, a: Self::Real, b: Self::Real) -> Self::Real;
     fn sqrt(self, a: Self::Real) -> Self::Real;
+    fn abs(self, a: Self::Real) -> Self::Real;
+    /// |a| with the sign of b.
+    fn with_sign(self, a: Self::Real, b: Self::Real) -> Self::Real;
+    /// The sum of all eight, in one order: halves, then quarters, then neighbours.
+    fn sum(self, a: Self::Real) -> f64;
+    /// a < b.
+    fn less(self, a: Self::Real, b: Self::Real) -> Self::Mask;
+    /// a ≤ b.
+    fn up_to(self, a: Self::Real, b: Self::Real) -> Self::Mask;
+    fn both(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// The first n, all if there are not more.
+    fn first(self, n: usize) -> Self::Mask;
+    /// x where the mask says so, else +0.
+    fn keep(self, mask: Self::Mask, x: Self::Real) -> Self::Real;
+    /// Bit k is what the mask says of lane k.
+    fn bits(self, mask: Self::Mask) -> u8;
     /// x where 0 < a < b, else +0.
     fn where_between(self, a: Self::Real, b: Self::Real, x: Self::Real) -> Self::Real;
     /// Bit k tells whether a < b in lane k.
     fn less(self, a: Self::Real, b: Self::Real) -> u8;
     /// Wrapping difference a − b, to the nearest f64.
     fn difference(self, a: Self::Raw, b: Self::Raw) -> Self::Real;
+    fn real(self, a: Self::Raw) -> Self::Real;
+    fn splat_raw(self, x: i64) -> Self::Raw;
+    /// Wrapping difference.
+    fn sub_raw(self, a: Self::Raw, b: Self::Raw) -> Self::Raw;
+    /// x where the mask says so, else 0.
+    fn keep_raw(self, mask: Self::Mask, x: Self::Raw) -> Self::Raw;
+    /// All but the first of a, then the first of b.
+    fn shifted_raw(self, a: Self::Raw, b: Self::Raw) -> Self::Raw;
+    /// `before`, then all but the last of a.
+    fn shifted(self, before: f64, a: Self::Real) -> Self::Real;
+    /// The two coordinates of up to eight points, and zeros.
+    fn few_points(self, points: &[Frac]) -> [Self::Raw; 2];
     /// The two coordinates of the points with these numbers.
     fn points(self, points: &[Frac], at: &[u32; LANES]) -> [Self::Raw; 2];
     /// The numbers with these numbers.
     fn numbers(self, numbers: &[f64], at: &[u32; LANES]) -> Self::Real;
+    /// From each table the numbers in the places that the first (or second) numbers of eight pairs name.
+    fn rows<const N: usize, const SECOND: bool>(
+        self,
+        tables: [&[f64]; N],
+        pairs: &[[u16; 2]; LANES],
+    ) -> [Self::Real; N];
     /// Eight vectors.
     fn vectors(self, x: Self::Real, y: Self::Real) -> [Vec2; LANES];
+    /// The two components of the first eight.
+    fn components(self, from: &[Vec2]) -> [Self::Real; 2];
+    /// To the first eight places.
+    fn store_vectors(self, x: Self::Real, y: Self::Real, to: &mut [Vec2]);
+}
+
+/// The first eight of a slice.
+#[inline(always)]
+fn eight<T>(from: &[T]) -> &[T; LANES] {
+    from.first_chunk().expect("eight")
+}
+
+#[inline(always)]
+fn eight_mut<T>(to: &mut [T]) -> &mut [T; LANES] {
+    to.first_chunk_mut().expect("eight")
 }
 
 /// Plain arrays, for every processor.
@@ -85,10 +143,21 @@ fn zip<T: Copy, R>(a: [T; LANES], b: [T; LANES], f: impl Fn(T, T) -> R) -> [R; L
 impl Lanes for Arrays {
     type Real = [f64; LANES];
     type Raw = [i64; LANES];
+    type Mask = [bool; LANES];
 
     #[inline(always)]
     fn splat(self, x: f64) -> Self::Real {
         [x; LANES]
+    }
+
+    #[inline(always)]
+    fn load(self, from: &[f64]) -> Self::Real {
+        *eight(from)
+    }
+
+    #[inline(always)]
+    fn store(self, x: Self::Real, to: &mut [f64]) {
+        *eight_mut(to) = x;
     }
 
     #[inline(always)]
@@ -117,6 +186,52 @@ impl Lanes for Arrays {
     }
 
     #[inline(always)]
+    fn abs(self, a: Self::Real) -> Self::Real {
+        a.map(f64::abs)
+    }
+
+    #[inline(always)]
+    fn with_sign(self, a: Self::Real, b: Self::Real) -> Self::Real {
+        zip(a, b, f64::copysign)
+    }
+
+    #[inline(always)]
+    fn sum(self, a: Self::Real) -> f64 {
+        let four: [f64; 4] = std::array::from_fn(|k| a[k] + a[k + 4]);
+        (four[0] + four[2]) + (four[1] + four[3])
+    }
+
+    #[inline(always)]
+    fn less(self, a: Self::Real, b: Self::Real) -> Self::Mask {
+        zip(a, b, |a, b| a < b)
+    }
+
+    #[inline(always)]
+    fn up_to(self, a: Self::Real, b: Self::Real) -> Self::Mask {
+        zip(a, b, |a, b| a <= b)
+    }
+
+    #[inline(always)]
+    fn both(self, a: Self::Mask, b: Self::Mask) -> Self::Mask {
+        zip(a, b, |a, b| a & b)
+    }
+
+    #[inline(always)]
+    fn first(self, n: usize) -> Self::Mask {
+        std::array::from_fn(|k| k < n)
+    }
+
+    #[inline(always)]
+    fn keep(self, mask: Self::Mask, x: Self::Real) -> Self::Real {
+        std::array::from_fn(|k| if mask[k] { x[k] } else { 0.0 })
+    }
+
+    #[inline(always)]
+    fn bits(self, mask: Self::Mask) -> u8 {
+        mask.iter().enumerate().fold(0, |bits, (k, &yes)| bits | (yes as u8) << k)
+    }
+
+    #[inline(always)]
     fn where_between(self, a: Self::Real, b: Self::Real, x: Self::Real) -> Self::Real {
         std::array::from_fn(|k| if (0.0 < a[k]) & (a[k] < b[k]) { x[k] } else { 0.0 })
     }
@@ -132,6 +247,42 @@ impl Lanes for Arrays {
     }
 
     #[inline(always)]
+    fn real(self, a: Self::Raw) -> Self::Real {
+        a.map(|a| a as f64)
+    }
+
+    #[inline(always)]
+    fn splat_raw(self, x: i64) -> Self::Raw {
+        [x; LANES]
+    }
+
+    #[inline(always)]
+    fn sub_raw(self, a: Self::Raw, b: Self::Raw) -> Self::Raw {
+        zip(a, b, i64::wrapping_sub)
+    }
+
+    #[inline(always)]
+    fn keep_raw(self, mask: Self::Mask, x: Self::Raw) -> Self::Raw {
+        std::array::from_fn(|k| if mask[k] { x[k] } else { 0 })
+    }
+
+    #[inline(always)]
+    fn shifted_raw(self, a: Self::Raw, b: Self::Raw) -> Self::Raw {
+        std::array::from_fn(|k| if k + 1 < LANES { a[k + 1] } else { b[0] })
+    }
+
+    #[inline(always)]
+    fn shifted(self, before: f64, a: Self::Real) -> Self::Real {
+        std::array::from_fn(|k| if k > 0 { a[k - 1] } else { before })
+    }
+
+    #[inline(always)]
+    fn few_points(self, points: &[Frac]) -> [Self::Raw; 2] {
+        let bits: [[i64; 2]; LANES] = std::array::from_fn(|k| points.get(k).map_or([0; 2], |point| point.to_bits()));
+        [bits.map(|b| b[0]), bits.map(|b| b[1])]
+    }
+
+    #[inline(always)]
     fn points(self, points: &[Frac], at: &[u32; LANES]) -> [Self::Raw; 2] {
         let bits = at.map(|i| points[i as usize].to_bits());
         [bits.map(|b| b[0]), bits.map(|b| b[1])]
@@ -143,14 +294,34 @@ impl Lanes for Arrays {
     }
 
     #[inline(always)]
+    fn rows<const N: usize, const SECOND: bool>(
+        self,
+        tables: [&[f64]; N],
+        pairs: &[[u16; 2]; LANES],
+    ) -> [Self::Real; N] {
+        tables.map(|table| pairs.map(|pair| table[pair[SECOND as usize] as usize]))
+    }
+
+    #[inline(always)]
     fn vectors(self, x: Self::Real, y: Self::Real) -> [Vec2; LANES] {
         zip(x, y, |x, y| [x, y])
+    }
+
+    #[inline(always)]
+    fn components(self, from: &[Vec2]) -> [Self::Real; 2] {
+        let from = eight(from);
+        [0, 1].map(|axis| from.map(|vector| vector[axis]))
+    }
+
+    #[inline(always)]
+    fn store_vectors(self, x: Self::Real, y: Self::Real, to: &mut [Vec2]) {
+        *eight_mut(to) = self.vectors(x, y);
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 mod avx512 {
-    use super::{Frac, LANES, Lanes, Vec2};
+    use super::{Frac, LANES, Lanes, Vec2, eight, eight_mut};
     use std::arch::x86_64::*;
 
     /// Proof that the processor has the instructions used here (AVX-512 F, DQ and VL): made by `detected` only.
@@ -178,14 +349,31 @@ mod avx512 {
         }
     }
 
+    // where the eight numbers of a result lie among the sixteen of two registers
+    const EVEN: [i64; LANES] = [0, 2, 4, 6, 8, 10, 12, 14];
+    const ODD: [i64; LANES] = [1, 3, 5, 7, 9, 11, 13, 15];
+    const FIRST_FOUR: [i64; LANES] = [0, 8, 1, 9, 2, 10, 3, 11];
+    const LAST_FOUR: [i64; LANES] = [4, 12, 5, 13, 6, 14, 7, 15];
+
     // SAFETY of all methods: the instructions are there, see Avx512; loads are within slices, see `check`.
     impl Lanes for Avx512 {
         type Real = __m512d;
         type Raw = __m512i;
+        type Mask = __mmask8;
 
         #[inline(always)]
         fn splat(self, x: f64) -> __m512d {
             unsafe { _mm512_set1_pd(x) }
+        }
+
+        #[inline(always)]
+        fn load(self, from: &[f64]) -> __m512d {
+            unsafe { _mm512_loadu_pd(eight(from).as_ptr()) }
+        }
+
+        #[inline(always)]
+        fn store(self, x: __m512d, to: &mut [f64]) {
+            unsafe { _mm512_storeu_pd(eight_mut(to).as_mut_ptr(), x) }
         }
 
         #[inline(always)]
@@ -214,6 +402,58 @@ mod avx512 {
         }
 
         #[inline(always)]
+        fn abs(self, a: __m512d) -> __m512d {
+            unsafe { _mm512_abs_pd(a) }
+        }
+
+        #[inline(always)]
+        fn with_sign(self, a: __m512d, b: __m512d) -> __m512d {
+            unsafe {
+                let sign = _mm512_and_pd(b, _mm512_set1_pd(-0.0));
+                _mm512_or_pd(_mm512_abs_pd(a), sign)
+            }
+        }
+
+        #[inline(always)]
+        fn sum(self, a: __m512d) -> f64 {
+            unsafe {
+                let four = _mm256_add_pd(_mm512_castpd512_pd256(a), _mm512_extractf64x4_pd::<1>(a));
+                let two = _mm_add_pd(_mm256_castpd256_pd128(four), _mm256_extractf128_pd::<1>(four));
+                _mm_cvtsd_f64(_mm_add_sd(two, _mm_unpackhi_pd(two, two)))
+            }
+        }
+
+        #[inline(always)]
+        fn less(self, a: __m512d, b: __m512d) -> __mmask8 {
+            unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b) }
+        }
+
+        #[inline(always)]
+        fn up_to(self, a: __m512d, b: __m512d) -> __mmask8 {
+            unsafe { _mm512_cmp_pd_mask::<_CMP_LE_OQ>(a, b) }
+        }
+
+        #[inline(always)]
+        fn both(self, a: __mmask8, b: __mmask8) -> __mmask8 {
+            a & b
+        }
+
+        #[inline(always)]
+        fn first(self, n: usize) -> __mmask8 {
+            if n < LANES { (1 << n) - 1 } else { 0xff }
+        }
+
+        #[inline(always)]
+        fn keep(self, mask: __mmask8, x: __m512d) -> __m512d {
+            unsafe { _mm512_maskz_mov_pd(mask, x) }
+        }
+
+        #[inline(always)]
+        fn bits(self, mask: __mmask8) -> u8 {
+            mask
+        }
+
+        #[inline(always)]
         fn where_between(self, a: __m512d, b: __m512d, x: __m512d) -> __m512d {
             unsafe {
                 let positive = _mm512_cmp_pd_mask::<_CMP_GT_OQ>(a, _mm512_setzero_pd());
@@ -229,6 +469,53 @@ mod avx512 {
         #[inline(always)]
         fn difference(self, a: __m512i, b: __m512i) -> __m512d {
             unsafe { _mm512_cvtepi64_pd(_mm512_sub_epi64(a, b)) }
+        }
+
+        #[inline(always)]
+        fn real(self, a: __m512i) -> __m512d {
+            unsafe { _mm512_cvtepi64_pd(a) }
+        }
+
+        #[inline(always)]
+        fn splat_raw(self, x: i64) -> __m512i {
+            unsafe { _mm512_set1_epi64(x) }
+        }
+
+        #[inline(always)]
+        fn sub_raw(self, a: __m512i, b: __m512i) -> __m512i {
+            unsafe { _mm512_sub_epi64(a, b) }
+        }
+
+        #[inline(always)]
+        fn keep_raw(self, mask: __mmask8, x: __m512i) -> __m512i {
+            unsafe { _mm512_maskz_mov_epi64(mask, x) }
+        }
+
+        #[inline(always)]
+        fn shifted_raw(self, a: __m512i, b: __m512i) -> __m512i {
+            unsafe { _mm512_alignr_epi64::<1>(b, a) }
+        }
+
+        #[inline(always)]
+        fn shifted(self, before: f64, a: __m512d) -> __m512d {
+            unsafe {
+                let before = _mm512_castpd_si512(_mm512_set1_pd(before));
+                _mm512_castsi512_pd(_mm512_alignr_epi64::<7>(_mm512_castpd_si512(a), before))
+            }
+        }
+
+        #[inline(always)]
+        fn few_points(self, points: &[Frac]) -> [__m512i; 2] {
+            let numbers = 2 * points.len().min(LANES) as u32;
+            let mask = ((1u32 << numbers) - 1) as u16;
+            unsafe {
+                let from = points.as_ptr().cast::<i64>();
+                let low = _mm512_maskz_loadu_epi64(mask as u8, from);
+                let high = _mm512_maskz_loadu_epi64((mask >> 8) as u8, from.wrapping_add(LANES));
+                let even = _mm512_permutex2var_epi64(low, _mm512_loadu_si512(EVEN.as_ptr().cast()), high);
+                let odd = _mm512_permutex2var_epi64(low, _mm512_loadu_si512(ODD.as_ptr().cast()), high);
+                [even, odd]
+            }
         }
 
         #[inline(always)]
@@ -265,6 +552,45 @@ mod avx512 {
         }
 
         #[inline(always)]
+        fn rows<const N: usize, const SECOND: bool>(
+            self,
+            tables: [&[f64]; N],
+            pairs: &[[u16; 2]; LANES],
+        ) -> [__m512d; N] {
+            let mut shortest = u16::MAX as usize + 1;
+            let mut k = 0;
+            while k < N {
+                shortest = shortest.min(tables[k].len());
+                k += 1;
+            }
+            // SAFETY: the load is of eight pairs; what they name lies within the shortest table.
+            unsafe {
+                let both = _mm256_loadu_si256(pairs.as_ptr().cast());
+                let low = _mm256_and_si256(both, _mm256_set1_epi32(0xffff));
+                let at = if SECOND { _mm256_srli_epi32::<16>(both) } else { low };
+                let inside = _mm256_cmplt_epu32_mask(at, _mm256_set1_epi32(shortest as i32));
+                assert!(inside == 0xff, "a number that is not there");
+                let mut rows = [_mm512_setzero_pd(); N];
+                let mut k = 0;
+                while k < N {
+                    let from = tables[k].as_ptr();
+                    macro_rules! two {
+                        ($lane:literal) => {{
+                            let low = _mm_load_sd(from.add(pairs[$lane][SECOND as usize] as usize));
+                            _mm_loadh_pd(low, from.add(pairs[$lane + 1][SECOND as usize] as usize))
+                        }};
+                    }
+                    let a = _mm512_castpd128_pd512(two!(0));
+                    let b = _mm512_insertf64x2::<1>(a, two!(2));
+                    let c = _mm512_insertf64x2::<2>(b, two!(4));
+                    rows[k] = _mm512_insertf64x2::<3>(c, two!(6));
+                    k += 1;
+                }
+                rows
+            }
+        }
+
+        #[inline(always)]
         fn vectors(self, x: __m512d, y: __m512d) -> [Vec2; LANES] {
             unsafe {
                 let (low, high) = (_mm512_unpacklo_pd(x, y), _mm512_unpackhi_pd(x, y));
@@ -279,6 +605,28 @@ mod avx512 {
                 put(6, _mm512_extractf64x2_pd::<3>(low));
                 put(7, _mm512_extractf64x2_pd::<3>(high));
                 vectors
+            }
+        }
+
+        #[inline(always)]
+        fn components(self, from: &[Vec2]) -> [__m512d; 2] {
+            let from = eight(from).as_ptr();
+            unsafe {
+                let (low, high) = (_mm512_loadu_pd(from.cast()), _mm512_loadu_pd(from.add(4).cast()));
+                let even = _mm512_permutex2var_pd(low, _mm512_loadu_si512(EVEN.as_ptr().cast()), high);
+                let odd = _mm512_permutex2var_pd(low, _mm512_loadu_si512(ODD.as_ptr().cast()), high);
+                [even, odd]
+            }
+        }
+
+        #[inline(always)]
+        fn store_vectors(self, x: __m512d, y: __m512d, to: &mut [Vec2]) {
+            let to = eight_mut(to).as_mut_ptr();
+            unsafe {
+                let first = _mm512_permutex2var_pd(x, _mm512_loadu_si512(FIRST_FOUR.as_ptr().cast()), y);
+                let last = _mm512_permutex2var_pd(x, _mm512_loadu_si512(LAST_FOUR.as_ptr().cast()), y);
+                _mm512_storeu_pd(to.cast(), first);
+                _mm512_storeu_pd(to.add(4).cast(), last);
             }
         }
     }
@@ -303,7 +651,29 @@ mod tests {
             let [a, b] = self.at.map(|at| l.numbers(self.numbers, &at));
             let [[ax, ay], [bx, by]] = self.at.map(|at| l.points(self.points, &at));
             let (dx, dy) = (l.difference(ax, bx), l.difference(by, ay));
+            let (less, up_to) = (l.less(a, b), l.up_to(a, b));
+            let [first_x, first_y] = l.few_points(&self.points[self.at[0][0] as usize..]);
+            let [few_x, few_y] = l.few_points(&self.points[..self.at[0][0] as usize % LANES]);
+            let (mut stored, mut interleaved) = ([0.0; LANES + 1], [[0.0; 2]; LANES + 1]);
+            l.store(a, &mut stored[1..]);
+            l.store_vectors(a, b, &mut interleaved[1..]);
+            let [taken_a, taken_b] = l.components(&interleaved[1..]);
+            let bits = [l.bits(less), l.bits(up_to), l.bits(l.both(less, l.first(5)))].map(f64::from);
+            let named: [[u16; 2]; LANES] = std::array::from_fn(|k| self.at.map(|at| at[k] as u16));
+            let [first, shifted_first] = l.rows::<2, false>([self.numbers, &self.numbers[..]], &named);
+            let [second] = l.rows::<1, true>([self.numbers], &named);
             let pairs = [
+                (l.add(first, shifted_first), second),
+                (l.load(&stored[1..]), l.splat(l.sum(a))),
+                (l.abs(a), l.with_sign(a, b)),
+                (l.keep(less, a), l.keep(up_to, b)),
+                (l.keep(l.first(3), a), l.keep(l.both(less, l.first(9)), b)),
+                (l.real(first_x), l.real(first_y)),
+                (l.real(few_x), l.real(few_y)),
+                (l.real(l.keep_raw(less, ax)), l.real(l.sub_raw(l.splat_raw(77), by))),
+                (l.real(l.shifted_raw(ax, by)), l.shifted(3.25, a)),
+                (taken_a, taken_b),
+                (l.load(&self.numbers[self.at[1][0] as usize..]), l.splat(bits.iter().sum())),
                 (l.add(a, b), l.sub(a, b)),
                 (l.mul(a, b), l.div(a, b)),
                 (l.sqrt(a), l.splat(1.5)),
@@ -324,6 +694,7 @@ mod tests {
         let number = |k: u64| if k.is_multiple_of(9) { 0.0 } else { word(k + 7) as f64 * 2.0f64.powi(k as i32 - 100) };
         let numbers: Vec<f64> = (0..100).map(number).collect();
         for shift in 0..50 {
+            // the first points and numbers have seven after them
             let at = [0, 13].map(|more| std::array::from_fn(|k| (shift + more * k as u32 + more) % 100));
             let all = || All { points: &points, numbers: &numbers, at };
             let canonical = |bits: Vec<u64>| -> Vec<u64> {
@@ -332,6 +703,23 @@ mod tests {
             };
             assert_eq!(canonical(run(all())), canonical(all().run(Arrays)));
         }
+    }
+
+    struct Rows<'a>(&'a [f64], [[u16; 2]; LANES]);
+
+    impl Kernel for Rows<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run(self, l: impl Lanes) {
+            l.rows::<2, true>([&[0.0; 9], self.0], &self.1);
+        }
+    }
+
+    #[test]
+    #[should_panic]
+    fn numbers_that_are_not_there_are_not_read() {
+        run(Rows(&[0.0; 8], [[0, 7], [0, 8], [0, 0], [0, 0], [0, 0], [0, 0], [0, 0], [0, 0]]));
     }
 
     #[test]

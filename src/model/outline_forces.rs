@@ -5,12 +5,14 @@
 //! and no division. Contributions that cancel are left out: where a vertex v is near the end w of an edge and the start
 //! of the next, φ(|v − w|) counts once for each edge that v lies past, less once (see `vertex_edge`), which is zero
 //! unless the outline turns a corner there.
+//!
+//! Eight pairs or eight vertices are handled together; what pairs give is added up one after the other, in their order.
 
 use super::deformable::{Deformable, DeformableParameters};
 use super::vertex_edge::VertexEdge;
 use super::{Harmonic, Model, View, rigid};
-use crate::geometry::{Vec2, cross};
-use crate::lanes::{Kernel, Lanes};
+use crate::geometry::{Vec2, cross, dot, scale};
+use crate::lanes::{Kernel, LANES, Lanes};
 use crate::neighbor::{OutlineFrame, Touching, VertexEdgeList};
 use std::ops::Range;
 
@@ -27,146 +29,254 @@ impl Kernel for OutlineForces<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self, _: impl Lanes) {
+    fn run(self, l: impl Lanes) {
         let OutlineForces { model, view, particles, forces, lightened } = self;
         let bodies = &view.particles.bodies;
         let origin = bodies.points(particles.start).start;
         let narrowed = view.lists.narrowed(particles.start);
-        let (mut frame, mut sums) = (OutlineFrame::default(), Vec::new());
+        let mut scratch = Scratch::default();
         for p in particles {
             let points = bodies.points(p);
-            let mine = points.start - origin..points.end - origin;
-            let (forces, lightened) = (&mut forces[mine.clone()], &mut lightened[mine]);
+            let (mine, n) = (points.start - origin..points.end - origin, points.len());
             let Some(touching) = narrowed.and_then(|chunk| chunk.of(p)) else {
+                let (forces, lightened) = (&mut forces[mine.clone()], &mut lightened[mine]);
                 model.forces(view, p..p + 1, forces);
                 model.lighten(view, p..p + 1, forces, lightened);
                 continue;
             };
-            frame.fill(view.pbox, view.particles, p, touching.points);
-            shape(&model.parameters, view.particles.size[p], &frame, points.len(), &mut sums);
-            contacts(model.parameters.contact, &frame, &touching, &mut sums);
-            // the last slot repeats the first vertex
-            let again = sums[points.len() + 1];
-            sums[1] = [sums[1][0] + again[0], sums[1][1] + again[1]];
-            forces.copy_from_slice(&sums[1..=points.len()]);
-            for ((slot, &x), &y) in lightened.iter_mut().zip(&frame.x[1..]).zip(&frame.y[1..]) {
-                *slot = [x, y];
+            scratch.frame.fill(l, view.pbox, view.particles, p, touching.points);
+            scratch.contacts(l, model.parameters.contact, &touching);
+            let (forces, lightened) = (&mut forces[mine.start..], &mut lightened[mine.start..]);
+            scratch.shape(l, &model.parameters, view.particles.size[p], n, forces, lightened);
+            scratch.add_contacts(&touching, &mut forces[..n], &mut lightened[..n]);
+        }
+    }
+}
+
+#[inline(always)]
+fn add(sum: &mut Vec2, term: Vec2) {
+    *sum = [sum[0] + term[0], sum[1] + term[1]];
+}
+
+#[inline(always)]
+fn eight(pairs: &[[u16; 2]]) -> &[[u16; 2]; LANES] {
+    pairs.first_chunk().expect("lists are padded to multiples of eight")
+}
+
+/// One particle at work.
+#[derive(Default)]
+struct Scratch {
+    frame: OutlineFrame,
+    /// For each facing pair the force on the vertex, and the part of it that falls to the end of the edge.
+    pushes: Vec<Vec2>,
+    at_end: Vec<Vec2>,
+    /// The forces of corners, each on one own vertex (by its slot).
+    corners: Vec<(u16, Vec2)>,
+    /// Of all contacts: force on the particle, and torque about the origin of the frame.
+    force: Vec2,
+    torque: f64,
+}
+
+impl Scratch {
+    /// What all pairs that touch give.
+    #[inline(always)]
+    fn contacts(&mut self, l: impl Lanes, law: Harmonic, touching: &Touching) {
+        let local = Local {
+            frame: &self.frame,
+            delta: law.delta,
+            push: law.epsilon / law.delta,
+            stiffness: law.epsilon / (law.delta * law.delta),
+        };
+        let faces = touching.faces;
+        if self.pushes.len() < faces.padded.len() {
+            self.pushes.resize(faces.padded.len(), [0.0; 2]);
+            self.at_end.resize(faces.padded.len(), [0.0; 2]);
+        }
+        let (zero, one, two) = (l.splat(0.0), l.splat(1.0), l.splat(2.0));
+        let (mut sum_x, mut sum_y, mut torque) = (zero, zero, zero);
+        let results = self.pushes.chunks_exact_mut(LANES).zip(self.at_end.chunks_exact_mut(LANES));
+        for (block, (pairs, (pushes, at_end))) in faces.padded.chunks_exact(LANES).zip(results).enumerate() {
+            let Facing { x, y, push_x, push_y, foot } = local.faces(l, pairs);
+            l.store_vectors(push_x, push_y, pushes);
+            l.store_vectors(l.mul(foot, push_x), l.mul(foot, push_y), at_end);
+            // on this particle: the push of an own vertex, and the opposite of one of another's
+            let sign = l.sub(l.keep(l.first(faces.own.saturating_sub(block * LANES)), two), one);
+            let (force_x, force_y) = (l.mul(sign, push_x), l.mul(sign, push_y));
+            (sum_x, sum_y) = (l.add(sum_x, force_x), l.add(sum_y, force_y));
+            // the foot lies from the vertex in the direction of the force
+            torque = l.add(torque, l.sub(l.mul(x, force_y), l.mul(y, force_x)));
+        }
+        (self.force, self.torque) = ([l.sum(sum_x), l.sum(sum_y)], l.sum(torque));
+        self.corners.clear();
+        let corners = touching.corners;
+        for (block, pairs) in corners.padded.chunks_exact(LANES).enumerate() {
+            let mut near = local.near(l, pairs);
+            while near != 0 {
+                let k = near.trailing_zeros() as usize;
+                near &= near - 1;
+                let [v, w] = pairs[k];
+                if let Some([x, y]) = local.corner(v.into(), w.into()) {
+                    let (slot, force) = if block * LANES + k < corners.own { (v, [x, y]) } else { (w, [-x, -y]) };
+                    self.corners.push((slot, force));
+                    add(&mut self.force, force);
+                    let slot = usize::from(slot);
+                    self.torque += cross([self.frame.x[slot], self.frame.y[slot]], force);
+                }
             }
-            rigid::lighten(forces, lightened);
+        }
+    }
+
+    /// Writes line tension and area forces to the first n places, and what rigid motions get more for being lighter
+    /// (see `rigid`). Only contacts move or turn the particle as a whole; tension and pressure do not.
+    ///
+    /// With edge vectors e_i from vertex i to i + 1: −∂(γp)/∂x_i = γ(ê_i − ê_{i−1}), and ∂a/∂x_i is half the chord
+    /// e_{i−1} + e_i turned by −90°.
+    #[inline(always)]
+    fn shape(
+        &self,
+        l: impl Lanes,
+        parameters: &DeformableParameters,
+        rest_area: f64,
+        n: usize,
+        forces: &mut [Vec2],
+        lightened: &mut [Vec2],
+    ) {
+        let frame = &self.frame;
+        let per_vertex = 1.0 / n as f64;
+        let mean = scale(per_vertex, frame.sum);
+        let torque = self.torque - cross(mean, self.force);
+        let inertia = frame.squares - dot(mean, frame.sum);
+        let rigid::Lighter { push, turn } = rigid::Lighter::new(scale(per_vertex, self.force), torque, inertia);
+        // push + turn × (arm from the mean vertex, turned by 90°)
+        let (push_x, push_y) = (l.splat(push[0] + turn * mean[1]), l.splat(push[1] - turn * mean[0]));
+        let turn = l.splat(turn);
+        let half_pressure = l.splat(0.5 * parameters.k_area * (rest_area - 0.5 * frame.area2));
+        let tension = l.splat(parameters.line_tension);
+        for k in (1..=n).step_by(LANES) {
+            let (x, y) = (l.load(&frame.along_x[k..]), l.load(&frame.along_y[k..]));
+            let per_length = l.load(&frame.per_length[k..]);
+            // not loaded: the processor would wait for two stores to end
+            let (before_x, before_y) = (l.shifted(frame.along_x[k - 1], x), l.shifted(frame.along_y[k - 1], y));
+            let per_length_before = l.shifted(frame.per_length[k - 1], per_length);
+            let (pull_before, pull) = (l.mul(tension, per_length_before), l.mul(tension, per_length));
+            let tension_x = l.sub(l.mul(pull, x), l.mul(pull_before, before_x));
+            let tension_y = l.sub(l.mul(pull, y), l.mul(pull_before, before_y));
+            let force_x = l.add(tension_x, l.mul(half_pressure, l.add(y, before_y)));
+            let force_y = l.sub(tension_y, l.mul(half_pressure, l.add(x, before_x)));
+            put(l, force_x, force_y, &mut forces[k - 1..]);
+            let (at_x, at_y) = (l.load(&frame.x[k..]), l.load(&frame.y[k..]));
+            let (more_x, more_y) = (l.sub(push_x, l.mul(turn, at_y)), l.add(push_y, l.mul(turn, at_x)));
+            put(l, more_x, more_y, &mut lightened[k - 1..]);
+        }
+    }
+
+    /// Adds the contact forces on all vertices, and then all forces to `lightened`.
+    #[inline(always)]
+    fn add_contacts(&self, touching: &Touching, forces: &mut [Vec2], lightened: &mut [Vec2]) {
+        let n = forces.len();
+        // slots 1..=n, and once more the first
+        let mut add_to = |slot: usize, force: Vec2| add(&mut forces[if slot > n { 0 } else { slot - 1 }], force);
+        let faces = touching.faces;
+        let (own, opposite) = (&faces.padded[..faces.own], &faces.padded[faces.own..faces.all]);
+        for (&[v, _], &push) in own.iter().zip(&self.pushes) {
+            add_to(v.into(), push);
+        }
+        let results = self.pushes[faces.own..].iter().zip(&self.at_end[faces.own..]);
+        for (&[_, e], (push, at_end)) in opposite.iter().zip(results) {
+            add_to(e.into(), [at_end[0] - push[0], at_end[1] - push[1]]);
+            add_to(usize::from(e) + 1, [-at_end[0], -at_end[1]]);
+        }
+        for &(slot, force) in &self.corners {
+            add_to(slot.into(), force);
+        }
+        for (slot, &force) in lightened.iter_mut().zip(&*forces) {
+            add(slot, force);
         }
     }
 }
 
-/// Line tension and area forces on slots 1..=n of a frame.
-///
-/// With edge vectors e_i from vertex i to i + 1: −∂(γp)/∂x_i = γ(ê_i − ê_{i−1}), and ∂a/∂x_i is half the chord
-/// e_{i−1} + e_i turned by −90°.
+/// Writes eight vectors, or as many as there is room for. What is written beyond the places of a particle, the next one
+/// overwrites.
 #[inline(always)]
-fn shape(parameters: &DeformableParameters, rest_area: f64, frame: &OutlineFrame, n: usize, sums: &mut Vec<Vec2>) {
-    let (x, y) = (&frame.x[..n + 1], &frame.y[..n + 1]);
-    let (along_x, along_y, per_length) = (&frame.along_x[..n + 1], &frame.along_y[..n + 1], &frame.per_length[..n + 1]);
-    let mut area2 = 0.0;
-    for k in 1..n + 1 {
-        area2 += cross([x[k], y[k]], [along_x[k], along_y[k]]);
-    }
-    let half_pressure = 0.5 * parameters.k_area * (rest_area - 0.5 * area2);
-    sums.clear();
-    sums.resize(n + 2, [0.0; 2]);
-    for k in 1..n + 1 {
-        let (pull_before, pull) =
-            (parameters.line_tension * per_length[k - 1], parameters.line_tension * per_length[k]);
-        sums[k] = [
-            pull * along_x[k] - pull_before * along_x[k - 1] + half_pressure * (along_y[k] + along_y[k - 1]),
-            pull * along_y[k] - pull_before * along_y[k - 1] - half_pressure * (along_x[k] + along_x[k - 1]),
-        ];
-    }
-}
-
-/// Adds the contact forces on the own slots of a frame.
-#[inline(always)]
-fn contacts(law: Harmonic, frame: &OutlineFrame, touching: &Touching, sums: &mut [Vec2]) {
-    let n = frame.slots();
-    let local = Local {
-        x: &frame.x[..n],
-        y: &frame.y[..n],
-        along_x: &frame.along_x[..n],
-        along_y: &frame.along_y[..n],
-        per_length: &frame.per_length[..n],
-        delta: law.delta,
-        push: law.epsilon / law.delta,
-        stiffness: law.epsilon / (law.delta * law.delta),
-    };
-    for &[v, e] in touching.faces {
-        let (v, e) = (v as usize, e as usize);
-        let (_, [x, y]) = local.face(v, e);
-        sums[v][0] += x;
-        sums[v][1] += y;
-    }
-    for &[v, e] in touching.opposite_faces {
-        let (v, e) = (v as usize, e as usize);
-        let (t, [x, y]) = local.face(v, e);
-        sums[e][0] -= (1.0 - t) * x;
-        sums[e][1] -= (1.0 - t) * y;
-        sums[e + 1][0] -= t * x;
-        sums[e + 1][1] -= t * y;
-    }
-    for &[v, w] in touching.corners {
-        if let Some([x, y]) = local.corner(v as usize, w as usize) {
-            sums[v as usize][0] += x;
-            sums[v as usize][1] += y;
-        }
-    }
-    for &[v, w] in touching.opposite_corners {
-        if let Some([x, y]) = local.corner(v as usize, w as usize) {
-            sums[w as usize][0] -= x;
-            sums[w as usize][1] -= y;
-        }
+fn put<L: Lanes>(l: L, x: L::Real, y: L::Real, to: &mut [Vec2]) {
+    if to.len() >= LANES {
+        l.store_vectors(x, y, to);
+    } else {
+        let n = to.len();
+        to.copy_from_slice(&l.vectors(x, y)[..n]);
     }
 }
 
 /// A frame and the law of contact: φ′(d) = −push + stiffness d.
 struct Local<'a> {
-    x: &'a [f64],
-    y: &'a [f64],
-    along_x: &'a [f64],
-    along_y: &'a [f64],
-    per_length: &'a [f64],
+    frame: &'a OutlineFrame,
     delta: f64,
     push: f64,
     stiffness: f64,
 }
 
+/// Eight pairs of a vertex and an edge.
+struct Facing<L: Lanes> {
+    /// The vertex.
+    x: L::Real,
+    y: L::Real,
+    /// The force on it, zero unless its foot lies between the ends of the edge and the distance is less than δ.
+    push_x: L::Real,
+    push_y: L::Real,
+    /// Where the foot lies: 0 at the start, 1 at the end.
+    foot: L::Real,
+}
+
 impl Local<'_> {
-    /// Foot of vertex v on edge e (0 at its start, 1 at its end) and force on v by the edge: zero unless the foot lies
-    /// between the ends and the distance is less than δ.
     #[inline(always)]
-    fn face(&self, v: usize, e: usize) -> (f64, Vec2) {
-        let (x, y, per_length) = (self.along_x[e], self.along_y[e], self.per_length[e]);
-        let from_start = [self.x[v] - self.x[e], self.y[v] - self.y[e]];
-        let from_end = [self.x[v] - self.x[e + 1], self.y[v] - self.y[e + 1]];
-        let forward = from_start[0] * x + from_start[1] * y;
-        let beyond = from_end[0] * x + from_end[1] * y;
+    fn faces<L: Lanes>(&self, l: L, pairs: &[[u16; 2]]) -> Facing<L> {
+        let f = self.frame;
+        let pairs = eight(pairs);
+        let [at_x, at_y] = l.rows::<2, false>([&f.x, &f.y], pairs);
+        let [start_x, start_y, x, y, per_length] =
+            l.rows::<5, true>([&f.x, &f.y, &f.along_x, &f.along_y, &f.per_length], pairs);
+        let (from_x, from_y) = (l.sub(at_x, start_x), l.sub(at_y, start_y));
+        let forward = l.add(l.mul(from_x, x), l.mul(from_y, y));
+        let foot = l.mul(forward, l.mul(per_length, per_length));
         // distance to the left of the edge
-        let left = (x * from_start[1] - y * from_start[0]) * per_length;
-        let touches = (forward > 0.0) & (beyond <= 0.0) & (left.abs() < self.delta) & (left != 0.0);
-        let strength = if touches { self.push.copysign(left) - self.stiffness * left } else { 0.0 };
-        let along_normal = strength * per_length;
-        (forward * per_length * per_length, [-along_normal * y, along_normal * x])
+        let left = l.mul(l.sub(l.mul(x, from_y), l.mul(y, from_x)), per_length);
+        let distance = l.abs(left);
+        let (zero, one) = (l.splat(0.0), l.splat(1.0));
+        let between = l.both(l.less(zero, foot), l.up_to(foot, one));
+        let near = l.both(l.less(zero, distance), l.less(distance, l.splat(self.delta)));
+        let strength = l.sub(l.with_sign(l.splat(self.push), left), l.mul(l.splat(self.stiffness), left));
+        let along_normal = l.keep(l.both(between, near), l.mul(strength, per_length));
+        let (push_x, push_y) = (l.sub(zero, l.mul(along_normal, y)), l.mul(along_normal, x));
+        Facing { x: at_x, y: at_y, push_x, push_y, foot }
     }
 
-    /// Force on vertex v by vertex w, where edges w − 1 and w meet.
+    /// Which of eight pairs of vertices are closer than δ, as bits.
+    #[inline(always)]
+    fn near(&self, l: impl Lanes, pairs: &[[u16; 2]]) -> u8 {
+        let f = self.frame;
+        let pairs = eight(pairs);
+        let [v_x, v_y] = l.rows::<2, false>([&f.x, &f.y], pairs);
+        let [w_x, w_y] = l.rows::<2, true>([&f.x, &f.y], pairs);
+        let (x, y) = (l.sub(v_x, w_x), l.sub(v_y, w_y));
+        let distance2 = l.add(l.mul(x, x), l.mul(y, y));
+        l.bits(l.both(l.less(l.splat(0.0), distance2), l.less(distance2, l.splat(self.delta * self.delta))))
+    }
+
+    /// Force on vertex v by vertex w closer than δ, where edges w − 1 and w meet.
     #[inline(always)]
     fn corner(&self, v: usize, w: usize) -> Option<Vec2> {
-        let from = [self.x[v] - self.x[w], self.y[v] - self.y[w]];
+        let f = self.frame;
+        // the foot on an edge, to the same bits as in `faces`
+        let foot = |e: usize| {
+            let from = [f.x[v] - f.x[e], f.y[v] - f.y[e]];
+            (from[0] * f.along_x[e] + from[1] * f.along_y[e]) * (f.per_length[e] * f.per_length[e])
+        };
+        let is_before = foot(w) <= 0.0;
+        if is_before != (foot(w - 1) > 1.0) {
+            return None;
+        }
+        let from = [f.x[v] - f.x[w], f.y[v] - f.y[w]];
         let distance2 = from[0] * from[0] + from[1] * from[1];
-        if distance2 >= self.delta * self.delta || distance2 == 0.0 {
-            return None;
-        }
-        let is_before = from[0] * self.along_x[w] + from[1] * self.along_y[w] <= 0.0;
-        let is_beyond = from[0] * self.along_x[w - 1] + from[1] * self.along_y[w - 1] > 0.0;
-        if is_before != is_beyond {
-            return None;
-        }
         let strength = self.push / distance2.sqrt() - self.stiffness;
         let strength = if is_before { strength } else { -strength };
         Some([strength * from[0], strength * from[1]])

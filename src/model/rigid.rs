@@ -9,6 +9,21 @@ use crate::geometry::{Vec2, add, cross, dot, scale, sub};
 const TRANSLATION: f64 = 2.0;
 const ROTATION: f64 = 10.0;
 
+/// What lighter rigid motions add: to each force `push`, and `turn` times the arm turned by 90°.
+pub(super) struct Lighter {
+    pub push: Vec2,
+    pub turn: f64,
+}
+
+impl Lighter {
+    /// From the mean force, and torque and moment of inertia about the mean vertex.
+    #[inline(always)]
+    pub fn new(mean_force: Vec2, torque: f64, inertia: f64) -> Self {
+        let turn = if inertia > 0.0 { ROTATION * torque / inertia } else { 0.0 };
+        Lighter { push: scale(TRANSLATION, mean_force), turn }
+    }
+}
+
 /// Writes (1 + 2 P_t + 10 P_r) F for the vertices of one particle, P_t and P_r the projections of the forces F on its
 /// translations and its rotation about the mean vertex. The array holds the vertices, from any origin, at first.
 #[inline(always)]
@@ -26,8 +41,7 @@ pub(super) fn lighten(forces: &[Vec2], lightened: &mut [Vec2]) {
         torque += cross(*arm, f);
         inertia += dot(*arm, *arm);
     }
-    let turn = if inertia > 0.0 { ROTATION * torque / inertia } else { 0.0 };
-    let push = scale(TRANSLATION, mean_force);
+    let Lighter { push, turn } = Lighter::new(mean_force, torque, inertia);
     for (slot, f) in lightened.iter_mut().zip(forces) {
         let arm = *slot;
         *slot = [f[0] + push[0] - turn * arm[1], f[1] + push[1] + turn * arm[0]];

@@ -1,4 +1,5 @@
-use crate::geometry::{Frac, PeriodicBox};
+use crate::geometry::PeriodicBox;
+use crate::lanes::{LANES, Lanes};
 use crate::particles::Particles;
 
 /// One own polygon and points of others near it, as plain numbers about the polygon's first vertex: each position is
@@ -6,10 +7,10 @@ use crate::particles::Particles;
 ///
 /// The origin belongs to the polygon alone, so that the numbers are the same bits on whatever rank they are made. Slots
 /// 0 and n + 1 repeat the last and the first of the n vertices in slots 1..=n: edge k runs from slot k to slot k + 1,
-/// and every vertex has an edge on either side. The other points follow.
+/// and every vertex has an edge on either side. The other points follow, and then numbers without meaning: the arrays
+/// are long enough for eight to be taken from any slot.
 #[derive(Default)]
 pub struct OutlineFrame {
-    raw: Vec<[i64; 2]>,
     /// Positions.
     pub x: Vec<f64>,
     pub y: Vec<f64>,
@@ -18,6 +19,10 @@ pub struct OutlineFrame {
     pub along_y: Vec<f64>,
     /// 1 / length of each edge, 0 for an edge of length zero.
     pub per_length: Vec<f64>,
+    /// Of the polygon: twice its area, the sum of its vertices, and that of their squared distances from the origin.
+    pub area2: f64,
+    pub sum: [f64; 2],
+    pub squares: f64,
 }
 
 impl OutlineFrame {
@@ -26,50 +31,103 @@ impl OutlineFrame {
         vertices + 2
     }
 
-    pub fn slots(&self) -> usize {
-        self.raw.len()
-    }
-
     /// Takes own particle `particle` and the points `others`.
     #[inline(always)]
-    pub fn fill(&mut self, pbox: &PeriodicBox, particles: &Particles, particle: usize, others: &[u32]) {
+    pub fn fill(&mut self, l: impl Lanes, pbox: &PeriodicBox, particles: &Particles, particle: usize, others: &[u32]) {
         let own = particles.points_of(particle);
-        let origin = own[0];
-        let from_origin = |p: &Frac| p.minus(origin);
-        self.raw.clear();
-        self.raw.push(from_origin(&own[own.len() - 1]));
-        self.raw.extend(own.iter().map(from_origin));
-        self.raw.push([0; 2]);
-        self.raw.extend(others.iter().map(|&p| from_origin(&particles.position[p as usize])));
-        let n = self.raw.len();
+        let n = own.len();
+        let first_other = Self::first_other(n);
+        let length = first_other + others.len() + 2 * LANES;
+        if self.x.len() < length {
+            for array in [&mut self.x, &mut self.y, &mut self.along_x, &mut self.along_y, &mut self.per_length] {
+                array.resize(length, 0.0);
+            }
+        }
+        let [origin_x, origin_y] = own[0].to_bits();
+        let (origin_x, origin_y) = (l.splat_raw(origin_x), l.splat_raw(origin_y));
+        let unit = pbox.unit();
+        let zero = l.splat(0.0);
+        let (mut area2, mut sum_x, mut sum_y, mut squares) = (zero, zero, zero, zero);
+        for k in (0..n).step_by(LANES) {
+            let ([x, y], [next_x, next_y]) = (l.few_points(&own[k..]), l.few_points(&own[k + 1..]));
+            // beyond the last vertex all is zero: that is where the first lies, to which the last edge runs
+            let (mask, mask_next) = (l.first(n - k), l.first(n - k - 1));
+            let (x, y) = (l.sub_raw(x, origin_x), l.sub_raw(y, origin_y));
+            let (x, y) = (l.keep_raw(mask, x), l.keep_raw(mask, y));
+            let (next_x, next_y) = (l.sub_raw(next_x, origin_x), l.sub_raw(next_y, origin_y));
+            let (next_x, next_y) = (l.keep_raw(mask_next, next_x), l.keep_raw(mask_next, next_y));
+            let [x, y, along_x, along_y] = self.put(l, unit, k + 1, [x, y], [next_x, next_y]);
+            area2 = l.add(area2, l.sub(l.mul(x, along_y), l.mul(y, along_x)));
+            (sum_x, sum_y) = (l.add(sum_x, x), l.add(sum_y, y));
+            squares = l.add(squares, l.add(l.mul(x, x), l.mul(y, y)));
+        }
+        (self.area2, self.sum, self.squares) = (l.sum(area2), [l.sum(sum_x), l.sum(sum_y)], l.sum(squares));
         for array in [&mut self.x, &mut self.y, &mut self.along_x, &mut self.along_y, &mut self.per_length] {
-            array.resize(n, 0.0);
+            (array[0], array[n + 1]) = (array[n], 0.0);
         }
-        for ((x, y), &raw) in self.x.iter_mut().zip(&mut self.y).zip(&self.raw) {
-            [*x, *y] = pbox.vector(raw);
+        let mut blocks = others.chunks_exact(LANES);
+        let (origin, mut slot) = ([origin_x, origin_y], first_other);
+        let mut last = None;
+        for block in blocks.by_ref() {
+            let points = l.points(&particles.position, block.first_chunk().expect("a block"));
+            if let Some(before) = last.replace(points) {
+                self.put_others(l, unit, slot, before, points, origin);
+                slot += LANES;
+            }
         }
+        if let [first, ..] = *blocks.remainder() {
+            let mut rest = [first; LANES];
+            rest[..blocks.remainder().len()].copy_from_slice(blocks.remainder());
+            let points = l.points(&particles.position, &rest);
+            if let Some(before) = last.replace(points) {
+                self.put_others(l, unit, slot, before, points, origin);
+                slot += LANES;
+            }
+        }
+        if let Some(points) = last {
+            self.put_others(l, unit, slot, points, points, origin);
+        }
+    }
+
+    #[inline(always)]
+    fn put_others<L: Lanes>(
+        &mut self,
+        l: L,
+        unit: [f64; 3],
+        slot: usize,
+        points: [L::Raw; 2],
+        after: [L::Raw; 2],
+        origin: [L::Raw; 2],
+    ) {
+        let here = [l.sub_raw(points[0], origin[0]), l.sub_raw(points[1], origin[1])];
+        let next = [l.shifted_raw(points[0], after[0]), l.shifted_raw(points[1], after[1])];
+        let next = [l.sub_raw(next[0], origin[0]), l.sub_raw(next[1], origin[1])];
+        self.put(l, unit, slot, here, next);
+    }
+
+    /// Puts eight points and the edges from them to those after them into slots; answers positions and edges.
+    #[inline(always)]
+    fn put<L: Lanes>(
+        &mut self,
+        l: L,
+        [xx, xy, yy]: [f64; 3],
+        slot: usize,
+        here: [L::Raw; 2],
+        next: [L::Raw; 2],
+    ) -> [L::Real; 4] {
+        let (xx, xy, yy) = (l.splat(xx), l.splat(xy), l.splat(yy));
+        let (x, y) = (l.real(here[0]), l.real(here[1]));
+        let (x, y) = (l.add(l.mul(x, xx), l.mul(y, xy)), l.mul(y, yy));
         // edges are differences of the exact positions: a short one is as exact as a long one
-        for ((x, y), ends) in self.along_x.iter_mut().zip(&mut self.along_y).zip(self.raw.windows(2)) {
-            [*x, *y] = pbox.vector(difference(ends[1], ends[0]));
-        }
-        for ((inverse, x), y) in self.per_length.iter_mut().zip(&self.along_x).zip(&self.along_y) {
-            let length2 = x * x + y * y;
-            *inverse = if length2 > 0.0 { 1.0 / length2.sqrt() } else { 0.0 };
-        }
+        let (dx, dy) = (l.difference(next[0], here[0]), l.difference(next[1], here[1]));
+        let (along_x, along_y) = (l.add(l.mul(dx, xx), l.mul(dy, xy)), l.mul(dy, yy));
+        let length2 = l.add(l.mul(along_x, along_x), l.mul(along_y, along_y));
+        let per_length = l.keep(l.less(l.splat(0.0), length2), l.div(l.splat(1.0), l.sqrt(length2)));
+        l.store(x, &mut self.x[slot..]);
+        l.store(y, &mut self.y[slot..]);
+        l.store(along_x, &mut self.along_x[slot..]);
+        l.store(along_y, &mut self.along_y[slot..]);
+        l.store(per_length, &mut self.per_length[slot..]);
+        [x, y, along_x, along_y]
     }
-
-    /// Whether slots a and b are certainly nearest images of each other, by a good margin.
-    pub fn are_in_one_image(&self, a: usize, b: usize) -> bool {
-        // 0.45 of a period
-        const MARGIN: u64 = 8_301_034_833_169_298_227;
-        (0..2).all(|axis| {
-            let d = self.raw[a][axis].checked_sub(self.raw[b][axis]);
-            d.is_some_and(|d| d.unsigned_abs() < MARGIN)
-        })
-    }
-}
-
-#[inline(always)]
-fn difference(a: [i64; 2], b: [i64; 2]) -> [i64; 2] {
-    [a[0].wrapping_sub(b[0]), a[1].wrapping_sub(b[1])]
 }

@@ -1,7 +1,8 @@
-use super::near_touches::NearTouches;
+use super::near_touches::{NearTouches, Picking};
 use super::outlines::Outlines;
 use super::{Candidates, PointList};
 use crate::geometry::{PeriodicBox, Vec2, dot, sub};
+use crate::lanes;
 use crate::particles::Particles;
 use crate::threads::{self, Chunk};
 
@@ -72,7 +73,7 @@ impl VertexEdgeList {
         self.narrow.clear();
         self.narrow = threads::map(&self.chunks, |chunk| {
             let row = &self.rows[self.place(chunk.particles.start).0];
-            NearTouches::new(pbox, particles, chunk, |k| row.near(k), reach, travel)
+            lanes::run(Picking { pbox, particles, chunk, near: |k| row.near(k), reach, travel })
         });
     }
 
