@@ -1,13 +1,13 @@
 //! Stored states measured again: `analyze` tells everything about them, `check` whether they are valid.
 
-use crate::comm::Session;
+use crate::comm::{Comm, Session};
 use crate::engine::{EngineError, System};
 use crate::exchange;
 use crate::failure::Failure;
 use crate::frames::{Frame, with_frame};
 use crate::minimize::Report;
 use crate::model::Model;
-use crate::observe::{Invariant, Look, Moduli, Rattlers, Sample, invariants};
+use crate::observe::{Invariant, Look, Moduli, PerParticle, Rattlers, Sample, invariants};
 use crate::output::Results;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -23,7 +23,7 @@ impl Look for Measure {
     type Error = EngineError;
 
     fn look<M: Model>(self, system: &mut System<M>) -> Result<Row, EngineError> {
-        let mut sample = measured(system)?;
+        let mut sample = measured(system)?.0;
         sample.moduli = Some(Moduli::of(system)?);
         let tensors = sample.tensors();
         let components = tensors.iter().flat_map(|&(name, t)| {
@@ -37,10 +37,10 @@ impl Look for Measure {
 /// What a state does not tell about itself.
 const HISTORY: [&str; 3] = ["iterations", "force_evaluations", "strain"];
 
-fn measured<M: Model>(system: &mut System<M>) -> Result<Sample, EngineError> {
+fn measured<M: Model>(system: &mut System<M>) -> Result<(Sample, PerParticle), EngineError> {
     let max_force = system.max_force()?;
     let report = Report { max_force, ..Report::default() };
-    Ok(Sample::measure(system, &report, Rattlers::default())?.0)
+    Sample::measure(system, &report, Rattlers::default())
 }
 
 /// Measures frames of a results file, or the configuration in a file of the exchange format whose text is `text`: one
@@ -77,7 +77,16 @@ fn csv(rows: &[Row]) -> String {
 struct Check {
     force_tolerance: f64,
     /// What a file says about the state.
-    stored: Row,
+    stored: Stored,
+}
+
+/// Numbers of a frame, those of particles for some of them on each rank.
+#[derive(Default)]
+struct Stored {
+    scalars: Row,
+    tensors: Vec<(String, [f64; 4])>,
+    ids: Vec<u32>,
+    columns: Vec<(String, Vec<f64>)>,
 }
 
 impl Look for Check {
@@ -85,21 +94,62 @@ impl Look for Check {
     type Error = EngineError;
 
     fn look<M: Model>(self, system: &mut System<M>) -> Result<Vec<Invariant>, EngineError> {
-        let sample = measured(system)?;
+        let (sample, columns) = measured(system)?;
         let mut found = invariants(system, &sample, self.force_tolerance)?;
         for (name, value) in sample.scalars() {
             // the largest force of a relaxed state is rounding
-            let Some((_, stored)) = self.stored.iter().find(|(n, _)| n == name && name != "max_force") else {
-                continue;
-            };
-            if HISTORY.contains(&name) || name == "stress_mismatch" {
+            if HISTORY.contains(&name) || ["max_force", "stress_mismatch"].contains(&name) {
                 continue;
             }
-            let (detail, limit) = (format!("{stored} stored"), 1e-9 * value.abs() + 1e-12);
-            found.push(Invariant::new(&format!("stored {name}"), (value - stored).abs(), limit, &detail));
+            if let Some((_, stored)) = self.stored.scalars.iter().find(|(n, _)| n == name) {
+                found.push(same(name, *stored, value));
+            }
+        }
+        for (name, tensor) in sample.tensors() {
+            let stored = self.stored.tensors.iter().find(|(n, _)| n == name);
+            let most = tensor.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+            for (component, (&stored, value)) in stored.iter().flat_map(|(_, t)| t).zip(tensor).enumerate() {
+                let name = format!("stored {name} {component}");
+                found.push(Invariant::new(&name, (value - stored).abs(), limit(most), &format!("{stored} stored")));
+            }
+        }
+        for (name, column) in columns.named() {
+            if let Some((_, stored)) = self.stored.columns.iter().find(|(n, _)| n == name) {
+                let worst =
+                    largest_difference(&system.comm, (&self.stored.ids, stored), (&system.particles().id, &column));
+                found.push(Invariant::new(&format!("stored {name} of particles"), worst, 1.0, "in units of the limit"));
+            }
         }
         Ok(found)
     }
+}
+
+/// By how much a number measured again may differ.
+fn limit(value: f64) -> f64 {
+    1e-9 * value.abs() + 1e-12
+}
+
+fn same(name: &str, stored: f64, value: f64) -> Invariant {
+    Invariant::new(&format!("stored {name}"), (value - stored).abs(), limit(value), &format!("{stored} stored"))
+}
+
+/// The largest difference between two columns, each in any order of ids on any ranks, over what it may be. Two numbers
+/// that are none do not differ. Collective.
+fn largest_difference(comm: &Comm, stored: (&[u32], &[f64]), measured: (&[u32], &[f64])) -> f64 {
+    let [stored, measured] = [stored, measured].map(|(ids, values)| {
+        let words = ids.iter().zip(values).flat_map(|(&id, value)| [id as u64, value.to_bits()]).collect();
+        let all = comm.gather(words).concat();
+        let mut rows: Vec<(u64, f64)> = all.chunks_exact(2).map(|row| (row[0], f64::from_bits(row[1]))).collect();
+        rows.sort_unstable_by_key(|row| row.0);
+        rows
+    });
+    let difference = |(a, b): (&(u64, f64), &(u64, f64))| match a.1.is_nan() && b.1.is_nan() {
+        true => 0.0,
+        false => (a.1 - b.1).abs() / limit(b.1),
+    };
+    let worse = |m: f64, x: f64| if m.is_nan() || x.is_nan() { f64::NAN } else { m.max(x) };
+    // the root has seen all
+    comm.max(stored.iter().zip(&measured).map(difference).fold(0.0, worse))
 }
 
 /// Checks one frame or all frames of a results file, or a configuration: a table of what must hold, or a failure that
@@ -114,7 +164,8 @@ pub fn check(
     let mut states = Vec::new();
     match text {
         Some(text) => {
-            let check = Check { force_tolerance: force_tolerance.unwrap_or(FORCE_TOLERANCE), stored: Row::new() };
+            let check =
+                Check { force_tolerance: force_tolerance.unwrap_or(FORCE_TOLERANCE), stored: Stored::default() };
             states.push((String::new(), exchange::look(session.world(), text, &file.display().to_string(), check)?));
         }
         None => {
@@ -127,7 +178,12 @@ pub fn check(
                 let found = with_frame(session.world(), file, &results, Some(k), |scene, snapshot| Check {
                     force_tolerance: force_tolerance
                         .unwrap_or(scene.minimize.force_tolerance * scene.force_unit() * (1.0 + 1e-9)),
-                    stored: snapshot.scalars.clone(),
+                    stored: Stored {
+                        scalars: snapshot.scalars.clone(),
+                        tensors: snapshot.tensors.clone(),
+                        ids: snapshot.particles.id.clone(),
+                        columns: snapshot.columns.clone(),
+                    },
                 })??;
                 states.push((format!("frame {k}: "), found));
             }

@@ -149,7 +149,7 @@ pub struct Onset {
     pub pressure: [f64; 2],
 }
 
-/// Samples above onset, in phi (sp) or rho (dp).
+/// Where samples are taken, in phi (sp) or rho (dp).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Compression {
@@ -159,6 +159,8 @@ pub enum Compression {
     Until { until: f64, step: f64 },
     /// Distances above onset evenly spaced in the logarithm.
     Log { log: LogSteps },
+    /// These densities, whether jammed or not: no onset is searched.
+    Densities { densities: Vec<f64> },
 }
 
 /// Logarithmic list of distances from onset: `from`, then `per_decade` a decade, up to `to`.
@@ -346,8 +348,13 @@ fn species_counts(n_particles: usize, fractions: &[f64]) -> Vec<usize> {
 }
 
 impl Compression {
-    /// Packing fractions (phi or rho, ascending) at which to sample a packing that jams at `onset`; empty if `until` is
-    /// not above onset.
+    /// Whether the samples are counted from the onset.
+    pub fn needs_onset(&self) -> bool {
+        !matches!(self, Compression::Densities { .. })
+    }
+
+    /// Packing fractions (phi or rho, ascending) at which to sample a packing that jams at `onset`, which counts for
+    /// nothing where densities are given; empty if `until` is not above onset.
     pub fn samples(&self, onset: f64) -> Vec<f64> {
         // Rounding must not make a step of 1e-16 before the end, nor lose the end.
         const ROUNDING: f64 = 1e-6;
@@ -363,6 +370,7 @@ impl Compression {
                 let delta = |k| from * 10f64.powf(k as f64 / *per_decade as f64);
                 (0..=(n + ROUNDING) as usize).map(|k| onset + delta(k)).collect()
             }
+            Compression::Densities { densities } => densities.clone(),
         }
     }
 }
@@ -467,7 +475,8 @@ const KEYS: &[Key] = &[
     dp("potential.stiffness", Float(1e-6, 1e3), ""),
     dp("potential.contact", Choice(&["vertex-edge", "edge-edge"]), "\"vertex-edge\""),
     both("initial.packing_fraction", Float(0.01, 0.7), "0.2"),
-    both("onset.step", Float(1e-8, 0.1), "0.01"),
+    sp("onset.step", Float(1e-8, 0.1), "0.001"),
+    dp("onset.step", Float(1e-8, 0.1), "0.01"),
     both("onset.smallest_step", Float(1e-12, 0.01), "1e-8"),
     sp("onset.pressure", List(&Float(1e-14, 0.1), 2, 2), "[1e-9, 1e-7]"),
     dp("onset.pressure", List(&Float(1e-14, 0.1), 2, 2), "[1e-6, 1e-4]"),
@@ -478,6 +487,8 @@ const KEYS: &[Key] = &[
     both("compression.log.from", Float(1e-9, 1.0), "1e-4"),
     both("compression.log.to", Float(1e-9, 1.0), "0.1"),
     both("compression.log.per_decade", Int(1, 1000), "4"),
+    sp("compression.densities", List(&Float(0.01, 2.0), 1, 10_000), ""),
+    dp("compression.densities", List(&Float(0.01, 0.999), 1, 10_000), ""),
     both("shear.until", Float(0.0, 100.0), "0.0"),
     both("shear.step", Float(1e-7, 0.1), "0.01"),
     both("measure.moduli", Bool, "true"),
@@ -493,11 +504,12 @@ const KEYS: &[Key] = &[
     both("output.color_by", Choice(&["z", "shape_parameter", "pressure"]), "\"z\""),
 ];
 
-/// The keys of the three exclusive forms of `[compression]`; the first form is taken when a scene has none.
-const FORMS: [&[&str]; 3] = [
+/// The keys of the four exclusive forms of `[compression]`; the first form is taken when a scene has none.
+const FORMS: [&[&str]; 4] = [
     &["compression.until", "compression.step"],
     &["compression.increments"],
     &["compression.log.from", "compression.log.to", "compression.log.per_decade"],
+    &["compression.densities"],
 ];
 
 /// Index in [`FORMS`] of the form that a key belongs to.
@@ -795,7 +807,7 @@ fn with_defaults(entries: &Entries, model: Model) -> Result<Table, Fault> {
     if let Some((second, _)) = forms.find(|&(_, other)| other != form) {
         let text = format!(
             "`{first}` and `{second}` exclude each other: in [compression] keep either `until` and `step`, or \
-             `increments`, or `log`"
+             `increments`, or `log`, or `densities`"
         );
         return Err((second, Problem::Rule(text)));
     }
@@ -906,6 +918,17 @@ fn check_rules(scene: &Scene) -> Result<(), Fault> {
             let (from, to) = (show(*from), show(*to));
             format!("`compression.log.from` = {from} must be below `compression.log.to` = {to}: lower it")
         }),
+        Compression::Densities { densities } => {
+            let start = scene.initial.packing_fraction;
+            let from_start: Vec<f64> = [start].iter().chain(densities).copied().collect();
+            let unsorted = from_start.windows(2).find(|pair| pair[0] >= pair[1]).unwrap_or(&[]);
+            refuse_if(!unsorted.is_empty(), "compression.densities", || {
+                format!(
+                    "`compression.densities` must ascend from `initial.packing_fraction` = {start}, but {unsorted:?} \
+                     follow each other: sort them, or lower the start"
+                )
+            })
+        }
     }
 }
 
@@ -1007,6 +1030,12 @@ mod tests {
         read_text(text, "").unwrap().into_iter().map(|(path, entry)| (path, entry.value)).collect()
     }
 
+    const FORM_EXAMPLES: [&str; 4] = [
+        "",
+        "\n[compression]\nincrements = [1e-4]",
+        "\n[compression.log]\nfrom = 1e-5",
+        "\n[compression]\ndensities = [0.8, 0.9]",
+    ];
     const MINIMAL: [(&str, Model); 2] = [("model = 'sp'", Model::Sp), ("model = 'dp'", Model::Dp)];
 
     #[test]
@@ -1044,9 +1073,7 @@ mod tests {
     #[test]
     fn the_echo_holds_every_key_and_parses_back() {
         for (text, model) in MINIMAL {
-            for (form, keys) in
-                ["", "\n[compression]\nincrements = [1e-4]", "\n[compression.log]\nfrom = 1e-5"].iter().zip(FORMS)
-            {
+            for (form, keys) in FORM_EXAMPLES.iter().zip(FORMS) {
                 let scene = parse(&format!("{text}{form}")).unwrap();
                 let echo = scene.to_toml();
                 assert_eq!(parse(&echo).unwrap(), scene, "{echo}");

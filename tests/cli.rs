@@ -393,6 +393,55 @@ fn a_check_fails_loudly() {
     assert!(!measured.contains("NaN"), "{measured}");
 }
 
+/// Adds to the first number of a dataset of a results file.
+fn alter(file: &Path, dataset: &str, by: f64) {
+    let file = hdf5::File::open_rw(file).unwrap();
+    let dataset = file.dataset(dataset).unwrap();
+    let mut values = dataset.read_dyn::<f64>().unwrap();
+    *values.iter_mut().next().unwrap() += by;
+    dataset.write(values.view()).unwrap();
+}
+
+#[test]
+fn a_check_finds_altered_numbers() {
+    let place = Place::with("scene.toml", QUICK_SP);
+    place.jamhpc(&["run", "scene.toml", "-o", "out"]).succeeds();
+    let file = place.path().join("out/results.h5");
+    place.jamhpc(&["check", "out/results.h5"]).succeeds();
+    for (dataset, by, says) in [
+        ("observables/pressure/value", 1e-9, "frame 0: stored pressure"),
+        ("observables/contact_number/value", 1.0, "frame 0: stored contact_number"),
+        ("observables/stress_virial/value", 1e-9, "frame 0: stored stress_virial 0"),
+        ("observables/particles/area/value", 1e-6, "frame 0: stored area of particles"),
+        ("observables/particles/is_rattler/value", 1.0, "frame 0: stored is_rattler of particles"),
+        ("observables/particles/perimeter/value", f64::NAN, "frame 0: stored perimeter of particles"),
+    ] {
+        let sound = place.read("out/results.h5");
+        alter(&file, dataset, by);
+        for ranks in [1, 2] {
+            let checked = place.ranks(ranks, &["check", "out/results.h5"]);
+            checked.fails_with(1, &["out/results.h5 is not valid"]);
+            assert!(checked.stderr.contains(says), "{dataset}: {}", checked.stderr);
+        }
+        std::fs::write(&file, sound).unwrap();
+    }
+}
+
+#[test]
+fn given_densities_need_no_onset() {
+    let scene = "model = 'sp'\nn_particles = 64\n[compression]\ndensities = [0.7, 0.88]\n[output]\npicture = false";
+    let place = Place::with("scene.toml", scene);
+    let run = place.jamhpc(&["run", "scene.toml", "-o", "out"]).succeeds();
+    assert!(!run.stdout.contains("onset"), "{}", run.stdout);
+    let rows: Vec<Vec<&str>> = run.stdout.lines().skip(2).take(2).map(|l| l.split_whitespace().collect()).collect();
+    // below jamming nothing is held
+    assert_eq!((rows[0][1], rows[0][2]), ("0.700000", "0.000"), "{}", run.stdout);
+    assert_eq!(rows[1][1], "0.880000", "{}", run.stdout);
+    place.jamhpc(&["check", "out/results.h5"]).succeeds();
+    let unsorted = ["run", "scene.toml", "--set", "compression.densities=[0.9, 0.8]"];
+    place.refuses(&unsorted, &["compression.densities", "ascend", "[0.9, 0.8]"]);
+}
+
 // ---------------------------------------------------------------------------------------------------------------------
 // Not converged
 

@@ -135,6 +135,47 @@ fn relaxed_strains_of_the_box() {
     assert!(refused.contains("not that of relaxed strains"), "{refused}");
 }
 
+/// States that are hardly any have defined answers, all of them numbers.
+#[test]
+fn states_at_the_edge_of_sense() {
+    let disks = |at: Value, diameters: Value| json!({"model": "sp", "box": {"lx": 8, "ly": 8, "xy": 0}, "epsilon": 1, "diameters": diameters, "positions": at});
+    // at rest: k_a (a0 - a) = gamma/R
+    let square = json!([[1, 1], [2, 1], [2, 2], [1, 2]]);
+    let polygon = json!({
+        "model": "dp", "box": {"lx": 8, "ly": 8, "xy": 1}, "line_tension": 1, "k_area": 100, "epsilon": 10,
+        "delta": 0.1, "contact": "vertex-edge", "n_vertices": [4], "a0": [1.02], "vertices": square
+    });
+    let row = |n: usize| json!((0..n).map(|k| [8.0 * k as f64 / n as f64, 1.0]).collect::<Vec<_>>());
+    let ones = |n: usize| json!(vec![1.0; n]);
+    for (what, state, percolating) in [
+        ("a single disk", disks(json!([[1, 1]]), ones(1)), 1),
+        ("a single polygon", polygon, 1),
+        ("nothing touches", disks(json!([[1, 1], [4, 4], [6, 1]]), ones(3)), 1),
+        ("all are rattlers, and unbalanced", disks(json!([[1, 1], [1.9, 1], [2.7, 1]]), ones(3)), 1),
+        ("a row around the box, and unstable", disks(row(9), ones(9)), 1),
+    ] {
+        let got = parse(&evaluate(Comm::alone(), &state.to_string(), "case", EXTRAS).unwrap());
+        assert_eq!(got["contact_number"], 0.0, "{what}");
+        let n = got["areas"].as_array().unwrap().len();
+        assert_eq!(got["rattlers"].as_array().unwrap().len(), n, "{what}: N' = 0");
+        assert_eq!(got["void_statistics"]["all"]["n_percolating"], percolating, "{what}");
+        // without any particle there are no voids to tell of
+        assert!(got["void_statistics"]["without_rattlers"].is_null(), "{what}");
+        let g = got.pointer("/shear_modulus/linear_response").unwrap().as_f64().unwrap();
+        assert!(g.abs() < 1e-9, "{what}: G = {g}");
+        // JSON has no other word for NaN
+        let mut text = got.to_string();
+        // what has no meaning for disks, or without any particle
+        for none in ["\"border_radius_over_delta\":null", "\"without_rattlers\":null"] {
+            text = text.replace(none, "");
+        }
+        assert!(!text.contains("null"), "{what}: {text}");
+    }
+    // forces of 10: moduli say that they mean nothing
+    let unbalanced = parse(&evaluate(Comm::alone(), SHEARED, "case", EXTRAS).unwrap());
+    assert_eq!(unbalanced["moduli"]["stability"], "unstable");
+}
+
 #[test]
 fn the_answer_has_the_promised_keys_and_no_others() {
     let keys = |value: &Value| value.as_object().unwrap().keys().cloned().collect::<Vec<_>>();

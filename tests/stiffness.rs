@@ -44,8 +44,11 @@ fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, st
     let stored = here.own_particles();
     let n = stored.owned_points();
     let direction: Vec<Vec2> = (0..n).map(|k| [noise(3 * k), noise(3 * k + 1)]).collect();
-    let mut product = vec![[0.0; 2]; n];
-    stiffness.product(&mut here, &mut direction.clone(), &mut product);
+    // the product with another vector beside it is the same
+    let mut products = vec![[[0.0; 2]; 2]; n];
+    let beside = direction.iter().map(|&d| [[d[1], 0.3], d]).collect();
+    stiffness.product(&mut here, &mut { beside }, &mut products);
+    let product: Vec<Vec2> = products.iter().map(|row| row[1]).collect();
     let slope = derivative(step, |h| {
         let mut moved = stored.clone();
         for (point, d) in moved.position.iter_mut().zip(&direction) {

@@ -50,15 +50,22 @@ impl Halo {
         self.send.iter().map(|s| s.len()).sum()
     }
 
-    /// Refreshes the values of all foreign points from their owners: one message to and from each peer, no allocation.
-    /// `values` holds this rank's points, then the foreign ones; T is two words wide.
+    /// Refreshes the values of all foreign points from their owners: one message to and from each peer, no allocation
+    /// but for values wider than any before. `values` holds this rank's points, then the foreign ones; T is some pairs of
+    /// words wide.
     pub fn update<T: bytemuck::Pod>(&mut self, comm: &Comm, values: &mut [T]) {
         let Some(group) = comm.peers() else { return };
+        const { assert!(size_of::<T>().is_multiple_of(16)) };
+        let width = size_of::<T>() / 16;
         let values: &mut [[u64; 2]] = bytemuck::cast_slice_mut(values);
         for (buffer, points) in self.outgoing.iter_mut().zip(&self.send) {
-            for (slot, &point) in buffer.iter_mut().zip(points) {
-                *slot = values[point as usize];
+            buffer.resize(width * points.len(), [0; 2]);
+            for (slots, &point) in buffer.chunks_exact_mut(width).zip(points) {
+                slots.copy_from_slice(&values[width * point as usize..][..width]);
             }
+        }
+        for (buffer, range) in self.incoming.iter_mut().zip(&self.receive) {
+            buffer.resize(width * range.len(), [0; 2]);
         }
         mpi::request::scope(|scope| {
             // a subdomain has at most eight neighbours, so the requests need no heap
@@ -82,7 +89,7 @@ impl Halo {
             }
         });
         for (range, buffer) in self.receive.iter().zip(&self.incoming) {
-            values[range.clone()].copy_from_slice(buffer);
+            values[width * range.start..width * range.end].copy_from_slice(buffer);
         }
     }
 }

@@ -73,6 +73,11 @@ impl Comm {
         Comm { group: Some(group), fold, rank, size }
     }
 
+    /// Another communicator of the same ranks, for a second system. Collective.
+    pub fn duplicate(&self) -> Self {
+        self.group.as_ref().map_or_else(Comm::alone, |group| Comm::over(group.duplicate()))
+    }
+
     pub fn rank(&self) -> usize {
         self.rank
     }

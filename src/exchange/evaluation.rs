@@ -190,7 +190,7 @@ impl Evaluation {
                 islands: v.islands,
                 percolates: v.percolates,
             };
-            voids = Some(all.list.iter().map(row).collect());
+            voids = Some(all.on_root(&system.comm).iter().map(row).collect());
         }
         if extras.contains(&Extra::Approximations) && is_disks {
             let named = Approximations::of(system)?.named();

@@ -3,7 +3,7 @@ use crate::comm::FusedSums;
 use crate::engine::{EngineError, System};
 use crate::geometry::{Vec2, dot, norm};
 use crate::model::Model;
-use crate::stiffness::{Cholesky, Stiffness, sum};
+use crate::stiffness::{Cholesky, Stiffness, sums};
 
 /// Newton's method with a sparse factor of the Hessian, led to the minimum through softer contacts.
 ///
@@ -218,10 +218,11 @@ impl Path<'_> {
         tolerance: f64,
     ) -> Result<(f64, f64), EngineError> {
         system.carry_these(direction);
-        let mut sums = FusedSums::default();
+        let mut fused = FusedSums::default();
         let mut slope = |system: &System<M>| {
             let (forces, directions) = (system.forces(), &system.particles().carried[0]);
-            sum(system, &mut sums, |i| dot(forces[i], directions[i]))
+            let [slope] = sums(system, &mut fused, |i| [dot(forces[i], directions[i])]);
+            slope
         };
         let first = slope(system);
         let mut here = 0.0f64;

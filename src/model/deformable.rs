@@ -20,7 +20,7 @@ pub struct DeformableParameters {
 }
 
 /// How the outlines of two particles repel each other.
-pub trait Contact: Send + Sync {
+pub trait Contact: Copy + Send + Sync {
     type List: PointList + Default;
 
     /// All pairs of outline parts closer than `range`.

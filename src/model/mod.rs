@@ -80,7 +80,7 @@ pub enum Outline {
 }
 
 /// An energy that is a function of positions alone and has a force everywhere: what the minimisers ask for.
-pub trait Model: Send + Sync {
+pub trait Model: Copy + Send + Sync {
     type List: PointList + Default;
 
     /// Whether particles are bodies of several points, whose rigid motions a minimiser may make lighter than the

@@ -29,7 +29,7 @@ impl Invariant {
 const ROUNDING: f64 = 1e-11;
 
 /// What must hold in any valid state, recomputed: force balance to `force_tolerance`, both stresses, no crossing,
-/// contacts seen alike from both sides. `sample` must be of this state. Collective; the same on all ranks.
+/// particles and voids that fill the box, contacts seen alike from both sides. `sample` must be of this state. Collective; the same on all ranks.
 pub fn invariants<M: Model>(
     system: &mut System<M>,
     sample: &Sample,
@@ -48,6 +48,8 @@ pub fn invariants<M: Model>(
     let unbalanced = sample.max_force * system.n_points() as f64 * radius / system.pbox().area();
     let stress = sample.energies.virial.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
     let rounding = ROUNDING * (stress + largest * (radius + system.largest_size()) / system.pbox().area());
+    let filled =
+        sample.density.packing_fraction + (sample.voids.area + sample.voids.sliver_area) / system.pbox().area();
     let torque = (sample.energies.virial[1] - sample.energies.virial[2]).abs();
 
     Ok(vec![
@@ -56,6 +58,7 @@ pub fn invariants<M: Model>(
         Invariant::new("crossing outlines", crossing.is_some() as u8 as f64, 0.0, &crossed),
         Invariant::new("stresses virial and centroid", sample.energies.stress_mismatch(), unbalanced + rounding, ""),
         Invariant::new("stress xy less yx", torque, rounding, ""),
+        Invariant::new("particles and voids, less the box", (filled - 1.0).abs(), 1e-12, "parts of the box"),
         Invariant::new("contacts seen from one side", one_sided, 0.0, ""),
         Invariant::new("contact forces, action less reaction", unequal, ROUNDING * largest, ""),
     ])
@@ -72,9 +75,15 @@ fn contact_symmetry<M: Model>(system: &mut System<M>) -> Result<[f64; 3], Engine
             words.extend(force.map(f64::to_bits));
         }
     }
+    // the root has seen all
+    Ok(system.comm.max_each(asymmetry(&system.comm.gather(words).concat())))
+}
+
+/// The same from words: both ids, and the force on the first.
+fn asymmetry(words: &[u64]) -> [f64; 3] {
     let mut pairs: BTreeMap<(u32, u32), (u32, Vec2)> = BTreeMap::new();
     let mut largest = 0.0f64;
-    for entry in system.comm.gather(words).concat().chunks_exact(3) {
+    for entry in words.chunks_exact(3) {
         let (a, b) = ((entry[0] >> 32) as u32, entry[0] as u32);
         let force = [f64::from_bits(entry[1]), f64::from_bits(entry[2])];
         largest = largest.max(norm(force));
@@ -83,6 +92,51 @@ fn contact_symmetry<M: Model>(system: &mut System<M>) -> Result<[f64; 3], Engine
     }
     let one_sided = pairs.values().filter(|(sides, _)| *sides != 2).count() as f64;
     let unequal = pairs.values().map(|(_, sum)| norm(*sum)).fold(0.0, f64::max);
-    // the root has seen all
-    Ok(system.comm.max_each([largest, one_sided, unequal]))
+    [largest, one_sided, unequal]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::comm::Comm;
+    use crate::geometry::PeriodicBox;
+    use crate::minimize::Report;
+    use crate::model::SoftDisks;
+    use crate::observe::Rattlers;
+    use crate::particles::{Bodies, Particles};
+
+    fn contact(a: u64, b: u64, force: Vec2) -> [u64; 3] {
+        [a << 32 | b, force[0].to_bits(), force[1].to_bits()]
+    }
+
+    #[test]
+    fn contacts_have_two_sides_and_equal_forces() {
+        let balanced = [contact(3, 5, [0.3, 0.4]), contact(5, 3, [-0.3, -0.4])].concat();
+        assert_eq!(asymmetry(&balanced), [0.5, 0.0, 0.0]);
+        let one_sided = [balanced.clone(), contact(5, 7, [0.0, 0.1]).to_vec()].concat();
+        assert_eq!(asymmetry(&one_sided), [0.5, 1.0, 0.1]);
+        let unequal = [contact(3, 5, [0.3, 0.4]), contact(5, 3, [-0.3, 0.4])].concat();
+        assert_eq!(asymmetry(&unequal), [0.5, 0.0, 0.8]);
+    }
+
+    /// A state in balance, and a sample of it that tells of other voids or of a number that is none.
+    #[test]
+    fn altered_samples_do_not_hold() {
+        let pbox = PeriodicBox::square(6.0);
+        let mut disks = Particles::empty(&Bodies::Disks);
+        [[0.0, 0.0], [2.0, 2.0]].iter().zip(0..).for_each(|(&x, id)| disks.push(id, 1.0, &[pbox.frac(x)]));
+        let model = SoftDisks { epsilon: 1.0, smallest: 1.0 };
+        let mut system = System::new(Comm::alone(), model, pbox, &pbox, disks, 0.3).unwrap();
+        let sample = Sample::measure(&mut system, &Report::default(), Rattlers::default()).unwrap().0;
+        let mut failing = |sample: &Sample| -> Vec<String> {
+            let found = invariants(&mut system, sample, 1e-12).unwrap();
+            found.into_iter().filter(|invariant| !invariant.holds()).map(|invariant| invariant.name).collect()
+        };
+        assert!(failing(&sample).is_empty());
+        let mut altered = sample;
+        altered.voids.area *= 1.0 - 1e-11;
+        assert_eq!(failing(&altered), ["particles and voids, less the box"]);
+        let altered = Sample { area_deviation: f64::NAN, ..sample };
+        assert_eq!(failing(&altered), ["values that are not finite"]);
+    }
 }

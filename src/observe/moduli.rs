@@ -1,3 +1,4 @@
+use super::{Contacts, Rattlers};
 use crate::engine::{EngineError, System};
 use crate::geometry::Vec2;
 use crate::model::Model;
@@ -56,31 +57,55 @@ const STRAINS: [[f64; 4]; 3] = [[0.0, 1.0, 0.0, 0.0], [0.5, 0.0, 0.0, -0.5], [1.
 
 impl Moduli {
     /// Of the present state, which should be force-balanced. Collective.
+    ///
+    /// Disks that are rattlers are left out: forces on them that are merely below a tolerance would make them buckle
+    /// springs between their neighbours. (A deformable particle may be held by two contacts.)
     pub fn of<M: Model>(system: &mut System<M>) -> Result<Moduli, EngineError> {
+        if !M::BODIES {
+            let contacts = Contacts::of(system, Rattlers::default())?;
+            if contacts.n_backbone() == 0 {
+                return Ok(Moduli::default());
+            }
+            if contacts.n_rattlers > 0 {
+                let mut backbone = system.with_some(|p| !contacts.is_rattler[p])?;
+                return Moduli::of_all(&mut backbone);
+            }
+        }
+        Moduli::of_all(system)
+    }
+
+    /// With all particles. Collective.
+    fn of_all<M: Model>(system: &mut System<M>) -> Result<Moduli, EngineError> {
         let energies = system.energies()?;
         let affine = elastic(system)?;
         let stiffness = Stiffness::of(system, 1.0)?;
         let preconditioner = Preconditioner::of(system, &stiffness);
-        let forces = stiffness.affine_forces(system);
-        let mut moduli = Moduli::default();
-        let mut curvature = [Modulus::default(); 3];
-        for (strain, curvature) in STRAINS.iter().zip(&mut curvature) {
-            let force = |i: usize| -> Vec2 {
+        let b: Vec<[Vec2; 3]> = {
+            let forces = stiffness.affine_forces(system);
+            let force = |strain: [f64; 4], i: usize| -> Vec2 {
                 let part = |axis: usize| (0..4).map(|k| strain[k] * forces[k][i][axis]).sum();
                 [part(0), part(1)]
             };
-            let b: Vec<Vec2> = (0..forces[0].len()).map(force).collect();
-            let whole = bilinear(&affine, strain);
-            let goal = Goal { tolerance: TOLERANCE, negligible: ROUNDING * whole.abs(), max_products: MAX_PRODUCTS };
-            let solution = solve(system, &stiffness, &preconditioner, &b, &goal);
+            (0..forces[0].len()).map(|i| STRAINS.map(|strain| force(strain, i))).collect()
+        };
+        let whole = STRAINS.map(|strain| bilinear(&affine, &strain));
+        let goals = whole.map(|whole| Goal {
+            tolerance: TOLERANCE,
+            negligible: ROUNDING * whole.abs(),
+            max_products: MAX_PRODUCTS,
+        });
+        let mut moduli = Moduli::default();
+        let mut curvature = [Modulus::default(); 3];
+        let solutions = solve(system, &stiffness, &preconditioner, &b, &goals);
+        for (k, (solution, goal)) in solutions.iter().zip(&goals).enumerate() {
             moduli.products += solution.products;
             moduli.residual = moduli.residual.max(solution.residual);
             if solution.is_unstable {
                 moduli.stability = Stability::Unstable;
-            } else if !solution.is_converged(&goal) && moduli.stability == Stability::Stable {
+            } else if !solution.is_converged(goal) && moduli.stability == Stability::Stable {
                 moduli.stability = Stability::Unsolved;
             }
-            *curvature = Modulus { linear_response: whole - solution.work, affine: whole };
+            curvature[k] = Modulus { linear_response: whole[k] - solution.work, affine: whole[k] };
         }
         // what the curvature of the path of strain adds: exp(γE) is not straight
         let area = system.pbox().area();

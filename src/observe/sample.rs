@@ -61,6 +61,20 @@ pub struct PerParticle {
     pub pressure: Vec<f64>,
 }
 
+impl PerParticle {
+    /// All columns by the names that files give them.
+    pub fn named(&self) -> [(&'static str, Vec<f64>); 6] {
+        [
+            ("contacts", self.contacts.iter().map(|&n| n as f64).collect()),
+            ("is_rattler", self.is_rattler.iter().map(|&is| is as u8 as f64).collect()),
+            ("area", self.area.clone()),
+            ("perimeter", self.perimeter.clone()),
+            ("shape_parameter", self.shape_parameter.clone()),
+            ("pressure", self.pressure.clone()),
+        ]
+    }
+}
+
 impl Sample {
     /// Measures the present state, which `report` says how it was reached. Collective.
     pub fn measure<M: Model>(

@@ -1,9 +1,11 @@
 use super::Contacts;
 use super::outlines::{Chain, Outlines, Thickness, nearest_pairs};
+use crate::comm::Comm;
 use crate::engine::{EngineError, System};
-use crate::geometry::{Frac, PeriodicBox, Region, Vec2, add, cross, norm};
+use crate::geometry::{Frac, PeriodicBox, Polygon, Region, Vec2, add, cross, norm};
 use crate::model::Model;
 use crate::neighbor::CellList;
+use crate::particles::Bodies;
 use std::f64::consts::PI;
 
 /// A connected part of the box that no particle covers.
@@ -53,35 +55,38 @@ pub struct VoidStatistics {
 }
 
 impl VoidStatistics {
-    const WORDS: usize = 12;
-
-    fn of(voids: &[Void]) -> Self {
-        let sum = |of: &dyn Fn(&Void) -> f64| voids.iter().map(of).sum::<f64>();
-        let mut s = VoidStatistics {
-            sliver_area: sum(&|v| if v.is_sliver() { v.area } else { 0.0 }),
-            area: sum(&|v| if v.is_sliver() { 0.0 } else { v.area }),
-            ..VoidStatistics::default()
+    /// Of the voids that all ranks have found. Collective.
+    fn of(comm: &Comm, voids: &[Void]) -> Self {
+        let row = |k: usize| -> [f64; 12] {
+            let void = &voids[k];
+            let mut row = [0.0; 12];
+            let (kind, area) = match () {
+                _ if void.is_sliver() => (2, 9),
+                _ if void.percolates => (1, 8),
+                _ => (void.sides.min(7) as usize, 8),
+            };
+            row[kind] = 1.0;
+            row[0] = if void.is_sliver() { 0.0 } else { 1.0 };
+            row[area] = void.area;
+            if kind == 3 {
+                row[10] = void.shape_parameter();
+                row[11] = (void.area / (3.0f64.sqrt() - 0.5 * PI)).sqrt();
+            }
+            row
         };
-        for void in voids {
-            if void.is_sliver() {
-                s.n_slivers += 1;
-                continue;
-            }
-            s.n_voids += 1;
-            if void.percolates {
-                s.n_percolating += 1;
-                continue;
-            }
-            s.with_sides[(void.sides.min(7) - 3) as usize] += 1;
-            if void.sides == 3 {
-                s.border_shape_parameter += void.shape_parameter();
-                s.border_radius += (void.area / (3.0f64.sqrt() - 0.5 * PI)).sqrt();
-            }
+        let [n_voids, n_percolating, n_slivers, three, four, five, six, more, area, sliver_area, shape, radius] =
+            comm.sum_terms(voids.len(), row);
+        let of_borders = |sum: f64| if three > 0.0 { sum / three } else { 0.0 };
+        VoidStatistics {
+            n_voids: n_voids as u64,
+            n_percolating: n_percolating as u64,
+            n_slivers: n_slivers as u64,
+            area,
+            sliver_area,
+            with_sides: [three, four, five, six, more].map(|n| n as u64),
+            border_shape_parameter: of_borders(shape),
+            border_radius: of_borders(radius),
         }
-        let n = s.with_sides[0].max(1) as f64;
-        s.border_shape_parameter /= n;
-        s.border_radius /= n;
-        s
     }
 
     /// P_l for l = 3, 4, 5, 6 and more: fractions of the voids that do not percolate; zeros without any.
@@ -89,42 +94,23 @@ impl VoidStatistics {
         let n = self.with_sides.iter().sum::<u64>().max(1) as f64;
         self.with_sides.map(|k| k as f64 / n)
     }
-
-    fn to_words(self) -> [u64; Self::WORDS] {
-        let [a, b, c, d, e] = self.with_sides;
-        let [f, g, h, i] =
-            [self.area, self.sliver_area, self.border_shape_parameter, self.border_radius].map(f64::to_bits);
-        [self.n_voids, self.n_percolating, self.n_slivers, a, b, c, d, e, f, g, h, i]
-    }
-
-    fn from_words(w: [u64; Self::WORDS]) -> Self {
-        let [area, sliver_area, border_shape_parameter, border_radius] = [w[8], w[9], w[10], w[11]].map(f64::from_bits);
-        VoidStatistics {
-            n_voids: w[0],
-            n_percolating: w[1],
-            n_slivers: w[2],
-            with_sides: [w[3], w[4], w[5], w[6], w[7]],
-            area,
-            sliver_area,
-            border_shape_parameter,
-            border_radius,
-        }
-    }
 }
 
 /// The voids of a state: connected parts of what the union of all particles (with their shells) leaves of the box.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Voids {
-    /// On rank 0, those with most sides first, then the largest; empty elsewhere. Slivers are left out.
-    pub list: Vec<Void>,
+    /// Those that this rank has found, slivers left out; on one rank those with most sides first, then the largest.
+    list: Vec<Void>,
+    /// Of all ranks.
     pub statistics: VoidStatistics,
 }
 
 impl Voids {
     /// Of the particles whose global ids `removed` (ascending) does not hold. Collective.
     ///
-    /// Every rank finds the outlines of its own particles, rank 0 links them: work and memory there are linear in the
-    /// number of particles. With no particle removed, the voids must fill what `packing_fraction` leaves of the box.
+    /// Every rank finds the outlines of its own particles and the voids among them. Rank 0 links what is left: voids
+    /// between particles of several ranks, those wide enough for a particle to float in, and what floats.
+    /// With no particle removed, the voids must fill what `packing_fraction` leaves of the box.
     pub fn of<M: Model>(
         system: &mut System<M>,
         removed: &[u32],
@@ -132,26 +118,28 @@ impl Voids {
     ) -> Result<Voids, EngineError> {
         let thickness = Thickness::of(system);
         let counts = |id: u32| removed.binary_search(&id).is_err();
-        let chains = system.with_whole_neighbors(|seen| Outlines::new(seen, thickness, counts).chains())?;
+        let smallest_island = 0.5 * smallest_area(system)?;
+        let mut chains = system.with_whole_neighbors(|seen| Outlines::new(seen, thickness, counts).chains())?;
+        // stable: the chains of one particle keep their order
+        chains.sort_by_key(|chain| chain.id);
+        let widest = thickness.widest_gap();
+        let (mut voids, chains) = settled(system.pbox(), chains, widest, smallest_island);
         let mut words = Vec::new();
         chains.iter().for_each(|chain| pack(chain, &mut words));
+        drop(chains);
         let parts = system.comm.gather(words);
-        let mut voids = Vec::new();
-        let mut outcome = [0; VoidStatistics::WORDS + 1];
+        let mut is_linked = true;
         if system.comm.is_root() {
             let mut chains: Vec<Chain> = parts.iter().flat_map(|words| unpack(words)).collect();
-            // stable: the chains of one particle come from one rank, in their order
+            drop(parts);
             chains.sort_by_key(|chain| chain.id);
-            let found = Linked::new(system.pbox(), &chains, thickness.widest_gap()).map(|linked| linked.voids());
-            outcome[0] = found.is_some() as u64;
-            voids = found.unwrap_or_default();
-            outcome[1..].copy_from_slice(&VoidStatistics::of(&voids).to_words());
+            match Linked::new(system.pbox(), &chains, widest) {
+                Some(linked) => voids.extend(linked.voids(smallest_island)),
+                None => is_linked = false,
+            }
         }
-        let outcome = system.comm.broadcast(outcome.iter().flat_map(|word| word.to_le_bytes()).collect());
-        let mut outcome = outcome.chunks_exact(8).map(|b| u64::from_le_bytes(std::array::from_fn(|k| b[k])));
-        let is_linked = outcome.next() == Some(1);
-        let words = std::array::from_fn(|_| outcome.next().unwrap_or_default());
-        let statistics = VoidStatistics::from_words(words);
+        let is_linked = !system.comm.any(!is_linked);
+        let statistics = VoidStatistics::of(&system.comm, &voids);
         let area = system.pbox().area();
         let found = (statistics.area + statistics.sliver_area) / area;
         let left = packing_fraction.map_or(found, |rho| 1.0 - rho);
@@ -159,9 +147,98 @@ impl Voids {
             return Err(EngineError::Voids { found, left });
         }
         voids.retain(|void| !void.is_sliver());
-        voids.sort_by(|a, b| b.sides.cmp(&a.sides).then(b.area.total_cmp(&a.area)));
+        sort(&mut voids);
         Ok(Voids { list: voids, statistics })
     }
+
+    /// All of them on rank 0, slivers left out, those with most sides first, then the largest; none on other ranks.
+    /// Collective.
+    pub fn on_root(&self, comm: &Comm) -> Vec<Void> {
+        let words = self.list.iter().flat_map(|void| {
+            let counts = (void.sides as u64) << 32 | void.islands as u64;
+            [counts, void.percolates as u64, void.area.to_bits(), void.perimeter.to_bits()]
+        });
+        let all = comm.gather(words.collect()).concat();
+        let void = |words: &[u64]| Void {
+            sides: (words[0] >> 32) as u32,
+            area: f64::from_bits(words[2]),
+            perimeter: f64::from_bits(words[3]),
+            islands: words[0] as u32,
+            percolates: words[1] != 0,
+        };
+        let mut all: Vec<Void> = all.chunks_exact(4).map(void).collect();
+        sort(&mut all);
+        all
+    }
+}
+
+fn sort(voids: &mut [Void]) {
+    let largest_first = |a: &Void, b: &Void| {
+        b.sides.cmp(&a.sides).then(b.area.total_cmp(&a.area)).then(b.perimeter.total_cmp(&a.perimeter))
+    };
+    voids.sort_by(largest_first);
+}
+
+/// Of all particles the least area that one covers, less its shell unless that is all of it. Collective.
+fn smallest_area<M: Model>(system: &mut System<M>) -> Result<f64, EngineError> {
+    system.prepare()?;
+    let (particles, pbox) = (system.particles(), system.pbox());
+    let width = system.model.range(system.largest_size());
+    let area = |p: usize| match particles.bodies {
+        Bodies::Disks => 0.25 * PI * particles.size[p] * particles.size[p],
+        Bodies::Polygons { .. } => {
+            let polygon = Polygon::from_vertices(pbox, particles.points_of(p)).area();
+            polygon.abs().max(0.25 * PI * width * width)
+        }
+    };
+    let smallest = (0..particles.len()).map(area).fold(f64::INFINITY, f64::min);
+    Ok(-system.comm.max(-smallest))
+}
+
+/// The voids whose whole boundary is known here and in which nothing can float, and the chains of all other
+/// boundaries. `chains` ascend by particle.
+fn settled(pbox: &PeriodicBox, chains: Vec<Chain>, widest: f64, smallest_island: f64) -> (Vec<Void>, Vec<Chain>) {
+    let is_here = |id: u32| chains.binary_search_by_key(&id, |chain| chain.id).is_ok();
+    let next = partners(pbox, &chains, widest, is_here);
+    let mut previous = vec![NONE; chains.len()];
+    (0..chains.len()).filter(|&k| next[k] != NONE).for_each(|k| previous[next[k] as usize] = k as u32);
+    let mut is_used = vec![false; chains.len()];
+    let mut is_open = vec![false; chains.len()];
+    for end in (0..chains.len()).filter(|&k| next[k] == NONE) {
+        let mut at = end as u32;
+        while at != NONE {
+            (is_used[at as usize], is_open[at as usize]) = (true, true);
+            at = previous[at as usize];
+        }
+    }
+    let mut voids = Vec::new();
+    for first in 0..chains.len() {
+        if is_used[first] {
+            continue;
+        }
+        let ring = Ring::from(pbox, &chains, &next, first, &mut is_used);
+        if ring.winding == [0, 0] && ring.area <= 0.0 && -ring.area < smallest_island {
+            voids.push(Void {
+                sides: different(ring.chains.iter().map(|&c| chains[c].id)),
+                area: -ring.area,
+                perimeter: ring.length,
+                islands: 0,
+                percolates: false,
+            });
+        } else {
+            ring.chains.iter().for_each(|&c| is_open[c] = true);
+        }
+    }
+    let left = chains.into_iter().zip(is_open).filter(|(_, is_open)| *is_open);
+    (voids, left.map(|(chain, _)| chain).collect())
+}
+
+/// How many different ids there are.
+fn different(ids: impl Iterator<Item = u32>) -> u32 {
+    let mut ids: Vec<u32> = ids.collect();
+    ids.sort_unstable();
+    ids.dedup();
+    ids.len() as u32
 }
 
 /// Global ids of all rattlers on all ranks, ascending, on every rank: what to remove for the voids of the backbone.
@@ -223,6 +300,37 @@ struct Ring {
     length: f64,
 }
 
+impl Ring {
+    /// The one that `first` is on, where every chain has one that follows.
+    fn from(pbox: &PeriodicBox, chains: &[Chain], next: &[u32], first: usize, is_used: &mut [bool]) -> Ring {
+        let mut ring = Ring {
+            chains: Vec::new(),
+            start: chains[first].start,
+            reach: [0.0; 2],
+            winding: [0; 2],
+            area: 0.0,
+            length: 0.0,
+        };
+        let mut at = first;
+        while !is_used[at] {
+            is_used[at] = true;
+            let chain = &chains[at];
+            ring.chains.push(at);
+            ring.area += 0.5 * cross(ring.reach, chain.reach) + chain.area;
+            ring.reach = add(ring.reach, chain.reach);
+            ring.length += chain.length;
+            at = next[at] as usize;
+            let gap = pbox.displacement(chains[at].start, chain.end);
+            ring.area += 0.5 * cross(ring.reach, gap);
+            ring.reach = add(ring.reach, gap);
+        }
+        let rows = (ring.reach[1] / pbox.ly()).round();
+        let columns = ((ring.reach[0] - rows * pbox.xy()) / pbox.lx()).round();
+        ring.winding = [columns as i64, rows as i64];
+        ring
+    }
+}
+
 /// All chains, linked to rings.
 struct Linked<'a> {
     pbox: &'a PeriodicBox,
@@ -237,47 +345,22 @@ impl<'a> Linked<'a> {
         let mut is_used = vec![false; chains.len()];
         let mut rings = Vec::new();
         for first in 0..chains.len() {
-            let mut ring = Ring {
-                chains: Vec::new(),
-                start: chains[first].start,
-                reach: [0.0; 2],
-                winding: [0; 2],
-                area: 0.0,
-                length: 0.0,
-            };
-            let mut at = first;
-            while !is_used[at] {
-                is_used[at] = true;
-                let chain = &chains[at];
-                ring.chains.push(at);
-                ring.area += 0.5 * cross(ring.reach, chain.reach) + chain.area;
-                ring.reach = add(ring.reach, chain.reach);
-                ring.length += chain.length;
-                at = next[at];
-                let gap = pbox.displacement(chains[at].start, chain.end);
-                ring.area += 0.5 * cross(ring.reach, gap);
-                ring.reach = add(ring.reach, gap);
-            }
-            if !ring.chains.is_empty() {
-                let rows = (ring.reach[1] / pbox.ly()).round();
-                let columns = ((ring.reach[0] - rows * pbox.xy()) / pbox.lx()).round();
-                ring.winding = [columns as i64, rows as i64];
-                rings.push(ring);
+            if !is_used[first] {
+                rings.push(Ring::from(pbox, chains, &next, first, &mut is_used));
             }
         }
         Some(Linked { pbox, chains, rings })
     }
 
-    fn voids(&self) -> Vec<Void> {
+    fn voids(&self, smallest_island: f64) -> Vec<Void> {
         let mut enclosed = Vec::new();
         let mut islands = Vec::new();
         let mut winding = Vec::new();
-        // an island is at least one particle; rounding may turn a ring without area around
-        let smallest = 1e-9 * self.rings.iter().map(|ring| ring.area).fold(0.0, f64::max);
         for (k, ring) in self.rings.iter().enumerate() {
             match () {
                 _ if ring.winding != [0, 0] => winding.push(k),
-                _ if ring.area > smallest => islands.push(k),
+                // rounding may turn a ring without area around
+                _ if ring.area > smallest_island => islands.push(k),
                 _ => enclosed.push(self.around(&[k])),
             }
         }
@@ -386,12 +469,9 @@ impl<'a> Linked<'a> {
     fn measured(&self, void: &Around) -> Void {
         let rings = || void.rings.iter().chain(&void.islands).map(|&k| &self.rings[k]);
         let sides = if void.percolates { rings().collect::<Vec<_>>() } else { vec![&self.rings[void.rings[0]]] };
-        let mut ids: Vec<u32> = sides.iter().flat_map(|ring| &ring.chains).map(|&c| self.chains[c].id).collect();
-        ids.sort_unstable();
-        ids.dedup();
         let islands: f64 = void.islands.iter().map(|&k| self.rings[k].area).sum();
         Void {
-            sides: ids.len() as u32,
+            sides: different(sides.iter().flat_map(|ring| &ring.chains).map(|&c| self.chains[c].id)),
             area: void.area - islands,
             perimeter: rings().map(|ring| ring.length).sum(),
             islands: void.islands.len() as u32,
@@ -461,55 +541,67 @@ fn winding_number(corners: &[Vec2], point: Vec2) -> i64 {
 /// Beyond this many ends without a partner something is wrong, and pairing by distance alone would take too long.
 const FEW: usize = 2000;
 
-/// For every chain the one that follows. The end of a chain of p that q hides is the start of one of q that p hides
-/// before: those of one pair of particles are matched, and what rounding leaves over is matched by distance alone.
-fn successors(pbox: &PeriodicBox, chains: &[Chain], widest: f64) -> Option<Vec<usize>> {
-    let mut next: Vec<usize> = (0..chains.len()).collect();
-    let pair = |a: u32, b: u32| (a.min(b), a.max(b));
-    let open = || (0..chains.len()).filter(|&k| !chains[k].is_closed);
-    let mut ends: Vec<_> = open().map(|k| (pair(chains[k].id, chains[k].before), k)).collect();
-    let mut starts: Vec<_> = open().map(|k| (pair(chains[k].id, chains[k].after), k)).collect();
-    ends.sort_unstable();
-    starts.sort_unstable();
-    let gap = |e: usize, s: usize| norm(pbox.displacement(chains[s].start, chains[e].end));
-    let (mut left_ends, mut left_starts) = (Vec::new(), Vec::new());
-    let (mut e, mut s) = (&ends[..], &starts[..]);
-    while let Some(key) = e.first().into_iter().chain(s.first()).map(|&(key, _)| key).min() {
-        let cut = |of: &[((u32, u32), usize)]| of.partition_point(|&(k, _)| k == key);
-        let ((these_ends, e_rest), (these_starts, s_rest)) = (e.split_at(cut(e)), s.split_at(cut(s)));
-        (e, s) = (e_rest, s_rest);
-        let (mut end_left, mut start_left) = (vec![true; these_ends.len()], vec![true; these_starts.len()]);
-        for (i, j) in
-            nearest_pairs(these_ends.len(), these_starts.len(), |i, j| gap(these_ends[i].1, these_starts[j].1))
-        {
-            let (end, start) = (these_ends[i].1, these_starts[j].1);
-            if gap(end, start) < widest {
-                next[end] = start;
-                (end_left[i], start_left[j]) = (false, false);
-            }
-        }
-        left_ends.extend(these_ends.iter().zip(end_left).filter(|(_, left)| *left).map(|((_, k), _)| *k));
-        left_starts.extend(these_starts.iter().zip(start_left).filter(|(_, left)| *left).map(|((_, k), _)| *k));
-    }
-    if left_ends.len() > FEW {
+/// No chain.
+const NONE: u32 = u32::MAX;
+
+/// For every chain the one that follows; nothing if one has none.
+fn successors(pbox: &PeriodicBox, chains: &[Chain], widest: f64) -> Option<Vec<u32>> {
+    let mut next = partners(pbox, chains, widest, |_| true);
+    let mut is_followed = vec![false; chains.len()];
+    next.iter().filter(|&&start| start != NONE).for_each(|&start| is_followed[start as usize] = true);
+    let ends: Vec<usize> = (0..chains.len()).filter(|&k| next[k] == NONE).collect();
+    let starts: Vec<usize> = (0..chains.len()).filter(|&k| !is_followed[k]).collect();
+    if ends.len() > FEW {
         return None;
     }
-    for (i, j) in nearest_pairs(left_ends.len(), left_starts.len(), |i, j| gap(left_ends[i], left_starts[j])) {
-        if gap(left_ends[i], left_starts[j]) >= widest {
+    // what rounding has left over
+    let gap = |i: usize, j: usize| norm(pbox.displacement(chains[starts[j]].start, chains[ends[i]].end));
+    for (i, j) in nearest_pairs(ends.len(), starts.len(), gap) {
+        if gap(i, j) >= widest {
             return None;
         }
-        next[left_ends[i]] = left_starts[j];
+        next[ends[i]] = starts[j] as u32;
     }
     Some(next)
+}
+
+/// For every chain the one that follows, itself if it is closed, or [`NONE`]. The end of a chain of p that q hides is
+/// the start of one of q that p hides before: those of one pair of particles, both of them here, are matched.
+fn partners(pbox: &PeriodicBox, chains: &[Chain], widest: f64, is_here: impl Fn(u32) -> bool) -> Vec<u32> {
+    let number = |k: usize| if chains[k].is_closed { k as u32 } else { NONE };
+    let mut next: Vec<u32> = (0..chains.len()).map(number).collect();
+    let pairs = |other: &dyn Fn(&Chain) -> u32| -> Vec<((u32, u32), u32)> {
+        let open = (0..chains.len()).filter(|&k| !chains[k].is_closed && is_here(other(&chains[k])));
+        let pair = |a: u32, b: u32| (a.min(b), a.max(b));
+        let mut pairs: Vec<_> = open.map(|k| (pair(chains[k].id, other(&chains[k])), k as u32)).collect();
+        pairs.sort_unstable();
+        pairs
+    };
+    let (ends, starts) = (pairs(&|chain| chain.before), pairs(&|chain| chain.after));
+    let (mut e, mut s) = (&ends[..], &starts[..]);
+    while let Some(key) = e.first().into_iter().chain(s.first()).map(|&(key, _)| key).min() {
+        let cut = |of: &[((u32, u32), u32)]| of.iter().take_while(|&&(k, _)| k == key).count();
+        let ((these_ends, e_rest), (these_starts, s_rest)) = (e.split_at(cut(e)), s.split_at(cut(s)));
+        (e, s) = (e_rest, s_rest);
+        let gap = |i: usize, j: usize| {
+            let (end, start) = (&chains[these_ends[i].1 as usize], &chains[these_starts[j].1 as usize]);
+            norm(pbox.displacement(start.start, end.end))
+        };
+        for (i, j) in nearest_pairs(these_ends.len(), these_starts.len(), gap) {
+            if gap(i, j) < widest {
+                next[these_ends[i].1 as usize] = these_starts[j].1;
+            }
+        }
+    }
+    next
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::comm::Comm;
     use crate::model::{Deformable, DeformableParameters, Harmonic, SoftDisks, VertexEdge};
     use crate::observe::{PackingFraction, Rattlers, Shape};
-    use crate::particles::{Bodies, Particles};
+    use crate::particles::Particles;
 
     fn disks(pbox: PeriodicBox, all: &[(Vec2, f64)]) -> System<SoftDisks> {
         let mut particles = Particles::empty(&Bodies::Disks);

@@ -65,8 +65,8 @@ fn keep<M: Model>(
     }
 }
 
-/// The protocol: a sample at the onset, then at each density and at each shear strain of the scene, every one
-/// force-balanced and uncrossed.
+/// The protocol: a sample at the onset if samples are counted from there, then at each density and at each shear strain
+/// of the scene, every one force-balanced and uncrossed.
 fn protocol<M: Model>(
     system: &mut System<M>,
     minimizer: &impl Minimizer,
@@ -76,15 +76,18 @@ fn protocol<M: Model>(
 ) -> Result<(), Failure> {
     let goal = setup::goal(scene);
     refuse_crossings(system)?;
-    let mut last = Report::default();
-    let onset = find_onset(system, minimizer, &goal, &setup::onset_search(scene), |density, energies, report| {
-        last = *report;
-        progress.state("onset", density, energies.pressure() / scene.pressure_unit(), report.iterations);
-    })?;
-    records.set_onset(onset);
-    let mut state = State { scene, onset, strain: 0.0 };
-    sample(system, &last, state, records)?;
-    for density in scene.compression.samples(onset.density) {
+    let mut state = State { scene, onset: None, strain: 0.0 };
+    if scene.compression.needs_onset() {
+        let mut last = Report::default();
+        let onset = find_onset(system, minimizer, &goal, &setup::onset_search(scene), |density, energies, report| {
+            last = *report;
+            progress.state("onset", density, energies.pressure() / scene.pressure_unit(), report.iterations);
+        })?;
+        records.set_onset(onset);
+        state.onset = Some(onset);
+        sample(system, &last, state, records)?;
+    }
+    for density in scene.compression.samples(state.onset.map_or(0.0, |onset| onset.density)) {
         let report = compress_to(system, minimizer, &goal, density)?;
         let pressure = sample(system, &report, state, records)?;
         progress.state("compression", density, pressure / scene.pressure_unit(), report.iterations);
@@ -102,7 +105,8 @@ fn protocol<M: Model>(
 #[derive(Clone, Copy)]
 struct State<'a> {
     scene: &'a Scene,
-    onset: Onset,
+    /// None if it was not searched.
+    onset: Option<Onset>,
     strain: f64,
 }
 
@@ -119,7 +123,7 @@ fn sample<M: Model>(
     if scene.measure.moduli {
         sample.moduli = Some(Moduli::of(system)?);
     }
-    sample.onset = Some(OnsetBracket { onset: onset.density, unjammed: onset.unjammed });
+    sample.onset = onset.map(|onset| OnsetBracket { onset: onset.density, unjammed: onset.unjammed });
     let density = system.density()?;
     records.append(system, density, sample, &columns)?;
     Ok(sample.pressure())

@@ -55,14 +55,7 @@ impl Records {
             particles: &system.own_particles(),
             scalars: &scalars(density, &sample),
             tensors: &sample.tensors(),
-            columns: &[
-                ("contacts", columns.contacts.iter().map(|&n| n as f64).collect()),
-                ("is_rattler", columns.is_rattler.iter().map(|&is| is as u8 as f64).collect()),
-                ("area", columns.area.clone()),
-                ("perimeter", columns.perimeter.clone()),
-                ("shape_parameter", columns.shape_parameter.clone()),
-                ("pressure", columns.pressure.clone()),
-            ],
+            columns: &columns.named(),
         };
         file.append(&system.comm, &frame)?;
         self.samples.push(sample);

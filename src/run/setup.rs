@@ -80,8 +80,9 @@ fn largest_density(scene: &Scene) -> f64 {
         Compression::Until { until, .. } => *until,
         Compression::Increments { increments } => DENSEST_ONSET + increments.last().copied().unwrap_or(0.0),
         Compression::Log { log } => DENSEST_ONSET + log.to,
+        Compression::Densities { densities } => densities.iter().copied().fold(0.0, f64::max),
     };
-    searched.max(sampled)
+    if scene.compression.needs_onset() { searched.max(sampled) } else { sampled }
 }
 
 /// When a state counts as relaxed, in the units of the model.
@@ -144,6 +145,7 @@ mod tests {
             ("compression.until=0.6", 0.92),
             ("compression.increments=[0.001, 0.1]", 1.01),
             ("compression.log.to=0.2", 1.11),
+            ("compression.densities=[0.3, 0.6]", 0.6),
         ] {
             let scene = Scene::parse("model = 'dp'", "test", &[form.to_string()]).unwrap();
             assert!((largest_density(&scene) - largest).abs() < 1e-12, "{form}");

@@ -9,10 +9,10 @@ mod solve;
 
 pub use cholesky::Cholesky;
 pub use preconditioner::Preconditioner;
-pub use solve::{Goal, Solution, solve, sum};
+pub use solve::{Goal, Solution, solve, sums};
 
 use crate::engine::{EngineError, System};
-use crate::geometry::{Polygon, Vec2, dot, scale, sub};
+use crate::geometry::{Polygon, Vec2, add, dot, scale, sub};
 use crate::model::{Block, Elastic, Model, strained, times};
 use crate::particles::Particles;
 use crate::threads;
@@ -99,9 +99,17 @@ impl Stiffness {
         &self.entries[self.start[point]..self.start[point + 1]]
     }
 
-    /// H u for the own points. `u` holds a vector for each own point, then one for each foreign point; the foreign
-    /// ones are refreshed from their owners. Collective.
-    pub fn product<M: Model>(&self, system: &mut System<M>, u: &mut Vec<Vec2>, product: &mut [Vec2]) {
+    /// H u of `K` vectors u for the own points. `u` holds them for each own point, then for each foreign point; the
+    /// foreign ones are refreshed from their owners. Several at a time cost little more than one: what takes time is
+    /// to fetch the blocks. Collective.
+    pub fn product<M: Model, const K: usize>(
+        &self,
+        system: &mut System<M>,
+        u: &mut Vec<[Vec2; K]>,
+        product: &mut [[Vec2; K]],
+    ) where
+        [Vec2; K]: bytemuck::Pod + Default,
+    {
         system.refresh(u);
         let particles = system.particles();
         let nothing = &mut vec![(); product.len()]; // zero-sized: no memory behind it
@@ -111,12 +119,12 @@ impl Stiffness {
             nothing,
             &|chunk, product, _| {
                 for (slot, point) in product.iter_mut().zip(chunk.points.clone()) {
-                    let mut sum = [0.0; 2];
+                    *slot = [[0.0; 2]; K];
                     for (column, block) in self.row(point) {
-                        let part = times(block, u[*column as usize]);
-                        sum = [sum[0] + part[0], sum[1] + part[1]];
+                        for (sum, &u) in slot.iter_mut().zip(&u[*column as usize]) {
+                            *sum = add(*sum, times(block, u));
+                        }
                     }
-                    *slot = sum;
                 }
                 if !M::BODIES {
                     return;
@@ -124,11 +132,14 @@ impl Stiffness {
                 for p in chunk.particles.clone() {
                     let points = particles.bodies.points(p);
                     let gradient = &self.area_gradient[points.clone()];
-                    let change: f64 = gradient.iter().zip(&u[points.clone()]).map(|(&g, &u)| dot(g, u)).sum();
-                    let push = self.area_stiffness * change;
                     let mine = points.start - chunk.points.start..points.end - chunk.points.start;
-                    for (slot, g) in product[mine].iter_mut().zip(gradient) {
-                        *slot = [slot[0] + push * g[0], slot[1] + push * g[1]];
+                    let product = &mut product[mine];
+                    for k in 0..K {
+                        let change: f64 = gradient.iter().zip(&u[points.clone()]).map(|(&g, u)| dot(g, u[k])).sum();
+                        let push = self.area_stiffness * change;
+                        for (slot, &g) in product.iter_mut().zip(gradient) {
+                            slot[k] = add(slot[k], scale(push, g));
+                        }
                     }
                 }
             },

@@ -1,6 +1,6 @@
 use super::Stiffness;
 use crate::engine::System;
-use crate::geometry::Vec2;
+use crate::geometry::{Vec2, add, scale};
 use crate::model::Model;
 use crate::threads;
 use nalgebra::{Cholesky, DMatrix};
@@ -55,8 +55,13 @@ impl Preconditioner {
         Preconditioner { inverse: parts.concat(), start }
     }
 
-    /// Multiplies the residual of each own point.
-    pub fn apply<M: Model>(&self, system: &System<M>, residual: &[Vec2], result: &mut [Vec2]) {
+    /// Multiplies `K` residuals of each own point.
+    pub fn apply<M: Model, const K: usize>(
+        &self,
+        system: &System<M>,
+        residual: &[[Vec2; K]],
+        result: &mut [[Vec2; K]],
+    ) {
         let particles = system.particles();
         let nothing = &mut vec![(); result.len()]; // zero-sized: no memory behind it
         threads::fold(
@@ -66,15 +71,16 @@ impl Preconditioner {
             &|chunk, result, _| {
                 for p in chunk.particles.clone() {
                     let points = particles.bodies.points(p);
-                    let r: &[f64] = residual[points.clone()].as_flattened();
                     let matrix = &self.inverse[self.start[p]..self.start[p + 1]];
                     let mine = points.start - chunk.points.start..points.end - chunk.points.start;
-                    let out = result[mine].as_flattened_mut();
-                    out.fill(0.0);
+                    let (residual, result) = (&residual[points.clone()], &mut result[mine]);
+                    result.fill([[0.0; 2]; K]);
                     // symmetric: columns are rows
-                    for (row, &r) in matrix.chunks_exact(r.len()).zip(r) {
-                        for (sum, m) in out.iter_mut().zip(row) {
-                            *sum += m * r;
+                    for (j, row) in matrix.chunks_exact(2 * points.len()).enumerate() {
+                        for (sums, m) in result.iter_mut().zip(row.as_chunks::<2>().0) {
+                            for (sum, r) in sums.iter_mut().zip(&residual[j / 2]) {
+                                *sum = add(*sum, scale(r[j % 2], *m));
+                            }
                         }
                     }
                 }

@@ -1,7 +1,7 @@
 use super::{Preconditioner, Stiffness};
 use crate::comm::{EXTREMES, FusedSums, Totals};
 use crate::engine::System;
-use crate::geometry::{Vec2, dot};
+use crate::geometry::{Vec2, add, dot, scale};
 use crate::model::Model;
 use crate::threads;
 
@@ -15,10 +15,9 @@ pub struct Goal {
     pub max_products: u64,
 }
 
-/// An approximate solution u of H u = b.
-#[derive(Clone, Debug, PartialEq)]
+/// What is known of an approximate solution u of H u = b.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Solution {
-    pub u: Vec<Vec2>,
     /// b·u
     pub work: f64,
     /// Products with H that it took.
@@ -35,67 +34,93 @@ impl Solution {
     }
 }
 
-/// An order-independent sum over all own points of all ranks. Collective.
-pub fn sum<M: Model>(system: &System<M>, fused: &mut FusedSums<1>, term: impl Fn(usize) -> f64 + Sync) -> f64 {
+/// Order-independent sums over all own points of all ranks. Collective.
+pub fn sums<M: Model, const K: usize>(
+    system: &System<M>,
+    fused: &mut FusedSums<K>,
+    terms: impl Fn(usize) -> [f64; K] + Sync,
+) -> [f64; K] {
     loop {
         let grids = fused.grids;
         let partial = threads::map(system.chunks(), |chunk| {
             let mut totals = Totals::default();
-            chunk.points.clone().for_each(|i| totals.add(&grids, [term(i)], [0.0; EXTREMES]));
+            chunk.points.clone().for_each(|i| totals.add(&grids, terms(i), [0.0; EXTREMES]));
             totals
         });
         let mut totals = partial.into_iter().fold(Totals::default(), Totals::merged);
         system.comm.combine(&mut totals);
         if let Some(settled) = fused.settle(&totals) {
-            return settled.sum[0];
+            return settled.sum;
         }
     }
 }
 
-/// Solves H u = b for the own points by preconditioned conjugate gradients. Collective.
+/// x + s y, each of the `K` vectors of a point with its own factor.
+fn added<const K: usize>(x: [Vec2; K], s: [f64; K], y: [Vec2; K]) -> [Vec2; K] {
+    std::array::from_fn(|k| add(x[k], scale(s[k], y[k])))
+}
+
+/// Solves H u = b for `K` right-hand sides at the own points, side by side, each by preconditioned conjugate gradients
+/// of its own. Collective.
 ///
 /// H has zero modes: shifts of the whole system, and rattlers. Where b is the answer to a strain it has no part in
 /// them, and neither has u beyond rounding.
-pub fn solve<M: Model>(
+pub fn solve<M: Model, const K: usize>(
     system: &mut System<M>,
     stiffness: &Stiffness,
     preconditioner: &Preconditioner,
-    b: &[Vec2],
-    goal: &Goal,
-) -> Solution {
+    b: &[[Vec2; K]],
+    goals: &[Goal; K],
+) -> [Solution; K]
+where
+    [Vec2; K]: bytemuck::Pod + Default,
+{
     let n = b.len();
-    let mut u = vec![[0.0; 2]; n];
+    let zero = || vec![[[0.0; 2]; K]; n];
+    let (mut u, mut z, mut q) = (zero(), zero(), zero());
     let mut r = b.to_vec();
-    let (mut z, mut q) = (vec![[0.0; 2]; n], vec![[0.0; 2]; n]);
     preconditioner.apply(system, &r, &mut z);
     let mut p = z.clone();
     let (mut of_curvature, mut of_residual) = (FusedSums::default(), FusedSums::default());
-    let mut rz = sum(system, &mut of_residual, |i| dot(r[i], z[i]));
+    let dots = |a: &[Vec2; K], b: &[Vec2; K]| std::array::from_fn(|k| dot(a[k], b[k]));
+    let mut rz = sums(system, &mut of_residual, |i| dots(&r[i], &z[i]));
     let scale = rz;
-    let mut products = 0;
-    let mut is_unstable = false;
-    while products < goal.max_products && rz > goal.negligible.max(goal.tolerance * goal.tolerance * scale) {
-        stiffness.product(system, &mut p, &mut q);
-        products += 1;
-        let pq = sum(system, &mut of_curvature, |i| dot(p[i], q[i]));
-        if pq <= 0.0 {
-            is_unstable = true;
+    let mut solutions = [Solution::default(); K];
+    loop {
+        let runs: [bool; K] = std::array::from_fn(|k| {
+            let Goal { tolerance, negligible, max_products } = goals[k];
+            let Solution { products, is_unstable, .. } = solutions[k];
+            !is_unstable && products < max_products && rz[k] > negligible.max(tolerance * tolerance * scale[k])
+        });
+        if !runs.contains(&true) {
             break;
         }
-        let step = rz / pq;
+        stiffness.product(system, &mut p, &mut q);
+        let pq: [f64; K] = sums(system, &mut of_curvature, |i| dots(&p[i], &q[i]));
+        // one that has ended stays where it is
+        let mut step = [0.0; K];
+        for k in (0..K).filter(|&k| runs[k]) {
+            solutions[k].products += 1;
+            solutions[k].is_unstable = pq[k] <= 0.0;
+            step[k] = if pq[k] > 0.0 { rz[k] / pq[k] } else { 0.0 };
+        }
+        let back = step.map(|s| -s);
         for i in 0..n {
-            u[i] = [u[i][0] + step * p[i][0], u[i][1] + step * p[i][1]];
-            r[i] = [r[i][0] - step * q[i][0], r[i][1] - step * q[i][1]];
+            u[i] = added(u[i], step, p[i]);
+            r[i] = added(r[i], back, q[i]);
         }
         preconditioner.apply(system, &r, &mut z);
-        let next = sum(system, &mut of_residual, |i| dot(r[i], z[i]));
-        let keep = next / rz;
+        let next = sums(system, &mut of_residual, |i| dots(&r[i], &z[i]));
+        let keep = std::array::from_fn(|k| if runs[k] { next[k] / rz[k] } else { 0.0 });
         for i in 0..n {
-            p[i] = [z[i][0] + keep * p[i][0], z[i][1] + keep * p[i][1]];
+            p[i] = added(z[i], keep, p[i]);
         }
         rz = next;
     }
-    let work = sum(system, &mut FusedSums::default(), |i| dot(b[i], u[i]));
-    let residual = if rz > goal.negligible { (rz / scale).sqrt() } else { 0.0 };
-    Solution { u, work, products, residual, is_unstable }
+    let work: [f64; K] = sums(system, &mut FusedSums::default(), |i| dots(&b[i], &u[i]));
+    for (k, solution) in solutions.iter_mut().enumerate() {
+        solution.work = work[k];
+        solution.residual = if rz[k] > goals[k].negligible { (rz[k] / scale[k]).sqrt() } else { 0.0 };
+    }
+    solutions
 }

@@ -1,18 +1,19 @@
 //! The hexagonal foam at rest, against the rounded hexagons that it becomes as N_v → ∞.
 
 use super::rounded_hexagon::{Material, RoundedHexagon};
-use super::{Check, Effort, mean};
+use super::{Check, Effort, mean, plateau_shape_parameter};
 use crate::comm::Comm;
 use crate::engine::System;
 use crate::minimize::{Fire, Goal, Minimized, Minimizer};
 use crate::model::{Deformable, VertexEdge};
-use crate::observe::Moduli;
+use crate::observe::{Moduli, VoidStatistics, Voids};
 use crate::protocol::ProtocolError;
 use std::f64::consts::PI;
 
 /// The smallest box that two ranks can share.
 const COLUMNS: usize = 4;
 const ROWS: usize = 2;
+const CELLS: f64 = (COLUMNS * ROWS) as f64;
 
 /// Sliding along a facet costs a vertex nothing; smaller forces would be slow to come by and change nothing.
 pub const GOAL: Goal = Goal { force_tolerance: 1e-6, max_iterations: 1_000_000 };
@@ -27,6 +28,9 @@ pub fn material(delta: f64) -> Material {
 /// makes the borders wider than in the limit. So each state is compared twice: P and G with the formulas at the border
 /// radius that its own pressure inside says, k_a(a₀ − a) = γ/r; and P with the limit at the same box, by its order of
 /// convergence (the overlap of facets goes with the distance of vertices: 1) and extrapolated in 1/N_v (Richardson).
+///
+/// The three arcs that meet in a border have the radius r + δ/2, their shells included, and touch: whatever r/δ, the
+/// border has the shape parameter π/(4√3 − 2π).
 ///
 /// The decoration theorem: G/(1 + δ/2r) is that of a dry foam, γ/(√3 h), whatever the borders. And as these vanish, the
 /// shape parameter tends to that of the hexagon, 𝒜 = 2√3/π (quadratic extrapolation in r/H).
@@ -44,6 +48,12 @@ pub fn checks(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>, Pr
         let name = |what: &str| format!("hexagonal foam 0.98, N_v = {n}: {what}");
         checks.push(Check::new(name("P at its own r"), state.inside.pressure(), state.pressure, 5e-3));
         checks.push(Check::new(name("G at its own r"), state.inside.shear_modulus(), state.shear_modulus, 1.5e-2));
+        let borders = state.voids;
+        checks.push(Check::new(name("Plateau borders a cell"), 2.0, borders.with_sides[0] as f64 / CELLS, 0.0));
+        let shape = borders.border_shape_parameter;
+        checks.push(Check::new(name("A of a border"), plateau_shape_parameter(), shape, 2e-2));
+        let radius = state.inside.border + 0.5 * soft.delta;
+        checks.push(Check::new(name("r + delta/2 of a border"), radius, borders.border_radius, 2e-2));
         pressures.push((n, state.pressure));
     }
     let of = |n: usize| pressures.iter().find(|p| p.0 == n).map_or(f64::NAN, |p| p.1);
@@ -93,6 +103,7 @@ struct State {
     shear_modulus: f64,
     /// p²/4πa of the mean cell.
     shape_parameter: f64,
+    voids: VoidStatistics,
     /// The cell with the border radius of its pressure inside.
     inside: RoundedHexagon,
 }
@@ -108,6 +119,7 @@ impl State {
             pressure: system.energies()?.pressure(),
             shear_modulus: Moduli::of(&mut system)?.shear_modulus.linear_response,
             shape_parameter,
+            voids: Voids::of(&mut system, &[], None)?.statistics,
             inside: inside(&mut system, material, cell)?,
         })
     }

@@ -1,9 +1,11 @@
-//! The program against exact formulas: crystals, single polygons, foams, and two ways to one modulus.
+//! The program against exact formulas: crystals, single polygons, foams, and two ways to one modulus; and, in the long
+//! mode, against what is known of the means of many random packings.
 //!
 //! Every check runs the engine itself, over all ranks, and compares one number with what theory says. A tolerance is
 //! rounding where the formula holds for what is computed, and the measured error of discretisation where it is a limit
 //! of many vertices.
 
+mod ensemble;
 mod foam;
 mod lattice;
 mod packings;
@@ -12,6 +14,7 @@ mod rounded_hexagon;
 mod table;
 mod yielding;
 
+pub use ensemble::{AtOnset, mean_and_error, onset_checks};
 pub use table::{header, line};
 
 use crate::comm::Comm;
@@ -19,6 +22,7 @@ use crate::engine::{EngineError, System};
 use crate::geometry::Polygon;
 use crate::model::{Model, Outline};
 use crate::protocol::ProtocolError;
+use std::f64::consts::PI;
 
 /// One number that is known and what the program makes of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,7 +63,15 @@ pub enum Effort {
 type Group = fn(&dyn Fn() -> Comm, Effort) -> Result<Vec<Check>, ProtocolError>;
 
 /// From the cheapest to the dearest.
-const GROUPS: [Group; 5] = [lattice::checks, polygon::checks, foam::checks, yielding::checks, packings::checks];
+const GROUPS: [Group; 7] = [
+    lattice::checks,
+    polygon::checks,
+    foam::checks,
+    yielding::checks,
+    packings::checks,
+    ensemble::soft_disks,
+    ensemble::deformable,
+];
 
 /// Runs all checks; `show` sees each as soon as it is known. `world` makes a communicator of all ranks. Collective, and
 /// the same bits on any number of ranks.
@@ -78,6 +90,11 @@ pub fn run(
         all.extend(checks);
     }
     Ok(all)
+}
+
+/// π/(4√3 − 2π) = 4.8706, p²/4πa of the void between three equal arcs that touch: a Plateau border.
+fn plateau_shape_parameter() -> f64 {
+    PI / (4.0 * 3.0f64.sqrt() - 2.0 * PI)
 }
 
 /// Means of some numbers over the polygons of all ranks; all zero for disks. Collective.

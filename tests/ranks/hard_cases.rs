@@ -5,7 +5,7 @@ use crate::harness::Outcome;
 use crate::systems::*;
 use jamhpc::comm::Comm;
 use jamhpc::engine::{EngineError, System};
-use jamhpc::geometry::{Frac, PeriodicBox, Vec2, norm};
+use jamhpc::geometry::{Frac, PeriodicBox, Vec2, cross, dot, norm};
 use jamhpc::minimize::{Fire, Minimizer};
 use jamhpc::model::{Contact, Deformable, DeformableParameters, EdgeEdge, Harmonic, VertexEdge};
 use jamhpc::observe::{Contacts, Rattlers, Spectrum, check_no_crossing};
@@ -177,23 +177,73 @@ pub fn area_ratio_80(comm: Comm) -> Outcome {
     system.deform_rigidly(smaller);
     let goal = goal(0.0, 300);
     let _ = Fire.minimize(&mut system, &goal).unwrap();
-    assert!(system.energies().unwrap().contact > 0.0);
+    let energies = system.energies().unwrap();
+    assert!(energies.contact > 0.0);
     assert_forces_as_rebuilt(&mut system, 0.1, "area ratio 80");
+    let all = whole(&system);
+    let expected = energy_of_all_pairs(system.pbox(), &all);
+    println!("residual {:e}, {energies:?}, all pairs {expected:?}", system.max_force().unwrap());
+    for (got, expected) in [energies.line, energies.area, energies.contact].into_iter().zip(expected) {
+        assert!((got - expected).abs() < 1e-11 * energies.total, "{got} instead of {expected}");
+    }
     describe(&mut system)
 }
 
-/// All particles in one corner of a large box: most ranks own none, and must still take part.
+/// γ Σ p, k_a/2 Σ (a − a₀)² and U_int of [`model`], every vertex against every edge and vertex of all others.
+fn energy_of_all_pairs(pbox: &PeriodicBox, all: &Particles) -> [f64; 3] {
+    let law = Harmonic { epsilon: 1.0, delta: DELTA };
+    let phi = |d: f64| if d < law.delta { 0.5 * law.epsilon * (1.0 - d / law.delta).powi(2) } else { 0.0 };
+    let [mut line, mut area, mut contact] = [0.0; 3];
+    let edges = |p: usize| {
+        let points = all.points_of(p);
+        (0..points.len()).map(move |k| (points[k], points[(k + 1) % points.len()]))
+    };
+    for p in 0..all.len() {
+        let origin = all.points_of(p)[0];
+        let mut own = 0.0;
+        for (a, b) in edges(p) {
+            line += norm(pbox.displacement(b, a));
+            own += 0.5 * cross(pbox.displacement(a, origin), pbox.displacement(b, origin));
+        }
+        area += 0.5 * 10.0 * (own - all.size[p]).powi(2);
+        for &v in all.points_of(p) {
+            for q in (0..all.len()).filter(|&q| q != p) {
+                for (a, b) in edges(q) {
+                    let (edge, to) = (pbox.displacement(b, a), pbox.displacement(v, a));
+                    let t = (dot(to, edge) / dot(edge, edge)).clamp(0.0, 1.0);
+                    contact += phi(norm([to[0] - t * edge[0], to[1] - t * edge[1]])) - phi(norm(to));
+                }
+            }
+        }
+    }
+    [line, area, contact]
+}
+
+/// All particles in one corner of a large box: most ranks own none, and must still take part. They push each other
+/// apart until each is the regular polygon that a lone one becomes: a = N tan(π/N) R², k_a(a₀ − a) = γ/R, p = 2a/R.
 pub fn empty_subdomains(comm: Comm) -> Outcome {
     let pbox = PeriodicBox::square(40.0);
     let near_the_corner =
-        |k: usize| regular(12, [1.0 + 1.55 * (k % 4) as f64, 1.0 + 1.55 * (k / 4) as f64], 0.8, 0.1 * k as f64);
+        |k: usize| regular(12, [1.0 + 1.65 * (k % 4) as f64, 1.0 + 1.65 * (k / 4) as f64], 0.8, 0.1 * k as f64);
     let polygons: Vec<Vec<Vec2>> = (0..12).map(near_the_corner).collect();
     let mut system = system::<VertexEdge>(comm, pbox, &polygons);
-    system.prepare().unwrap();
+    assert!(system.energies().unwrap().contact > 0.0 && check_no_crossing(&mut system).unwrap().is_none());
     let empty = system.comm.sum_count(system.particles().is_empty() as u64);
     assert!(system.comm.size() < 3 || empty > 0);
-    let goal = goal(0.0, 300);
-    let minimized = Fire.minimize(&mut system, &goal).unwrap();
+    let minimized = Fire.minimize(&mut system, &goal(1e-7, 200_000)).unwrap();
+    let alone = |id: usize| {
+        let (rest, shape) = (0.9 + 0.1 * id as f64, 12.0 * (std::f64::consts::PI / 12.0).tan());
+        let (mut low, mut high) = (1e-3, 10.0);
+        for _ in 0..100 {
+            let r: f64 = 0.5 * (low + high);
+            if 10.0 * (rest - shape * r * r) > 1.0 / r { low = r } else { high = r }
+        }
+        2.0 * shape * low + 0.5 * 10.0 * (rest - shape * low * low).powi(2)
+    };
+    let expected: f64 = (0..12).map(alone).sum();
+    let energy = system.energies().unwrap().total;
+    println!("{minimized:?}: U {energy}, {expected} when apart");
+    assert!(minimized.is_converged() && (energy - expected).abs() < 1e-6 * expected, "{energy} instead of {expected}");
     let mut outcome = describe(&mut system);
     outcome.push(format!("{:?}", minimized.report()));
     outcome
@@ -276,7 +326,7 @@ pub fn relaxed_pair_of_48(mut comm: Comm) -> Outcome {
 /// Compressed to ρ = 0.995, far beyond confluence of the facets: every state converges and none crosses.
 pub fn deep_compression(comm: Comm) -> Outcome {
     const THIN: f64 = 0.05;
-    let species = polygon_species(12);
+    let species = polygon_species(20); // the fewest that four ranks can share
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(THIN)).sum();
     let pbox = unit_box(0.0).with_area(area / 0.7);
     let (comm, polygons) = deformable_particles(comm, pbox, &species, 1, THIN).unwrap();

@@ -142,7 +142,7 @@ fn voids<M: Model>(system: &mut System<M>) -> Outcome {
         hex(&[density.packing_fraction, density.double_counted]),
         format!("{removed:?} {:?} {:?}", all.statistics, some.statistics),
     ];
-    for void in all.list.iter().chain(&some.list) {
+    for void in all.on_root(&system.comm).iter().chain(&some.on_root(&system.comm)) {
         lines.push(format!(
             "{} {} {} {}",
             void.sides,

@@ -73,7 +73,7 @@ fn main() -> std::process::ExitCode {
         Case::new("hard_cases", hard_cases::all, ONE_AND_FOUR),
         Case::new("known_energies", hard_cases::known_energies, ONE_AND_FOUR),
         Case::new("relaxed_pair_of_48", hard_cases::relaxed_pair_of_48, ONE_AND_FOUR),
-        Case::new("deep_compression", hard_cases::deep_compression, &[Start::new(1, 1), Start::new(2, 1)]),
+        Case::new("deep_compression", hard_cases::deep_compression, ONE_AND_FOUR),
         Case::new("onset_itself", hard_cases::onset_itself, ONE_AND_FOUR),
         Case::new("rattlers", hard_cases::rattlers, ONE_AND_FOUR),
         Case::new("crossed_outlines", hard_cases::crossed_outlines, ONE_AND_FOUR),
