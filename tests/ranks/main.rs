@@ -59,6 +59,8 @@ fn main() -> std::process::ExitCode {
         Case::new("fire_dp", invariance::fire_dp, RANKS_AND_THREADS),
         Case::new("cg_sp", invariance::cg_sp, RANKS_AND_THREADS),
         Case::new("cg_dp", invariance::cg_dp, ONE_AND_FOUR),
+        Case::new("turns_fire", invariance::turns_fire, TO_FOUR),
+        Case::new("turns_cg", invariance::turns_cg, TO_FOUR),
         Case::new("onset_sp", invariance::onset_sp, RANKS_AND_THREADS),
         Case::new("onset_dp", invariance::onset_dp, RANKS_AND_THREADS),
         Case::new("moduli_sp", moduli::sp, RANKS_AND_THREADS),
