@@ -52,6 +52,14 @@ impl Place {
         Place { folder: tempfile::tempdir().unwrap() }
     }
 
+    /// In memory, where there is such a folder: hundreds of checkpoints are hard on a disk.
+    fn in_memory(scene: &str) -> Self {
+        let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
+        let place = Place { folder };
+        place.write("scene.toml", scene);
+        place
+    }
+
     fn with(name: &str, text: &str) -> Self {
         let place = Place::new();
         place.write(name, text);
@@ -480,8 +488,9 @@ fn checkpoint_files(place: &Path, start: &str) -> Vec<PathBuf> {
 }
 
 /// A run that was killed when it had written so many files of outcomes and then some of the next minimisation.
-fn killed(place: &Path, run: &Place, arguments: &[&str], outcomes: usize) {
-    let mut running = run.spawn(arguments);
+fn killed(place: &Place, arguments: &[&str], outcomes: usize) {
+    let mut running = place.spawn(arguments);
+    let place = place.path();
     running.until(|| checkpoint_files(place, "done").len() >= outcomes);
     let now = checkpoint_files(place, "running").first().and_then(|file| file.metadata().ok()?.modified().ok());
     running.until(|| {
@@ -495,16 +504,16 @@ fn killed(place: &Path, run: &Place, arguments: &[&str], outcomes: usize) {
 #[test]
 fn a_killed_run_goes_on_to_the_same_bytes() {
     for (scene, ranks) in [(INTERRUPTED[0], 1..=4), (INTERRUPTED[1], 3..=3)] {
-        let undisturbed = Place::with("scene.toml", scene);
+        let undisturbed = Place::in_memory(scene);
         let table = |outcome: Outcome| outcome.succeeds().stdout.lines().take(6).map(String::from).collect::<Vec<_>>();
         let expected = table(undisturbed.jamhpc(&[&RUN[..], &["--set", "checkpoint.interval=600"]].concat()));
         assert_eq!(table(undisturbed.jamhpc(&RUN)), expected);
         let names: Vec<PathBuf> = undisturbed.files().iter().map(|f| f.file_name().unwrap().into()).collect();
         assert!(!names.contains(&"checkpoint".into()), "{names:?}");
         for ranks in ranks {
-            let place = Place::with("scene.toml", scene);
-            killed(place.path(), &place, &RUN, ranks);
-            killed(place.path(), &place, &RESUME, ranks + 2);
+            let place = Place::in_memory(scene);
+            killed(&place, &RUN, ranks);
+            killed(&place, &RESUME, ranks + 2);
             assert_eq!(table(place.ranks(ranks as u32, &RESUME)), expected, "{ranks} ranks");
             assert!(place.read("out/results.h5") == undisturbed.read("out/results.h5"), "{ranks} ranks");
             assert!(!place.path().join("out/checkpoint").exists());
@@ -515,7 +524,7 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
 #[test]
 fn what_is_missing_of_a_checkpoint_is_done_again() {
     let scene = INTERRUPTED[0];
-    let undisturbed = Place::with("scene.toml", scene);
+    let undisturbed = Place::in_memory(scene);
     undisturbed.jamhpc(&RUN).succeeds();
     let damage = |file: &Path| {
         let mut bytes = std::fs::read(file).unwrap();
@@ -524,8 +533,8 @@ fn what_is_missing_of_a_checkpoint_is_done_again() {
         std::fs::write(file, bytes).unwrap();
     };
     for (start, which) in [("running.", 0), ("running-before", 0), ("done", 0), ("done", 3)] {
-        let place = Place::with("scene.toml", scene);
-        killed(place.path(), &place, &RUN, 6);
+        let place = Place::in_memory(scene);
+        killed(&place, &RUN, 6);
         let file = &checkpoint_files(place.path(), start)[which];
         damage(file);
         let outcome = place.ranks(2, &RESUME).succeeds();
@@ -543,9 +552,9 @@ fn what_is_missing_of_a_checkpoint_is_done_again() {
 
 #[test]
 fn a_checkpoint_of_something_else_is_refused() {
-    let place = Place::with("scene.toml", INTERRUPTED[0]);
+    let place = Place::in_memory(INTERRUPTED[0]);
     place.refuses(&RESUME, &["no checkpoint in out/checkpoint", "Leave --resume out"]);
-    killed(place.path(), &place, &RUN, 2);
+    killed(&place, &RUN, 2);
     place.refuses(&RUN, &["out/checkpoint", "has not ended", "--resume"]);
     place.refuses(&[&RESUME[..], &["--set", "seed=2"]].concat(), &["`seed` is 2, but 1", "scene.toml"]);
     place.refuses(
@@ -559,14 +568,18 @@ fn a_checkpoint_of_something_else_is_refused() {
 
 #[test]
 fn signals_write_checkpoints() {
+    ["TERM", "USR2"].map(ended_by);
+}
+
+fn ended_by(signal: &str) {
     let scene = INTERRUPTED[0].replace("128", "8192").replace("interval = 0", "interval = 1e9");
-    let place = Place::with("scene.toml", &scene);
+    let place = Place::in_memory(&scene);
     let mut running = place.spawn(&RUN);
     running.until(|| place.path().join("out/results.h5.part").exists());
     assert!(!place.path().join("out/checkpoint").exists());
     running.signal("USR1");
     running.until(|| place.path().join("out/checkpoint/scene.toml").exists());
-    running.signal("TERM");
+    running.signal(signal);
     running.end().fails_with(85, &["ended by a signal", "out/checkpoint", "--resume"]);
     assert!(!checkpoint_files(place.path(), "").is_empty());
     let info = place.jamhpc(&["info", "out/results.h5.part"]).succeeds().stdout;
@@ -575,8 +588,8 @@ fn signals_write_checkpoints() {
 
 #[test]
 fn a_full_disk_leaves_the_checkpoint_before() {
-    let place = Place::with("scene.toml", INTERRUPTED[0]);
-    let undisturbed = Place::with("scene.toml", INTERRUPTED[0]);
+    let place = Place::in_memory(INTERRUPTED[0]);
+    let undisturbed = Place::in_memory(INTERRUPTED[0]);
     undisturbed.jamhpc(&RUN).succeeds();
     let out = place.path().join("out");
     std::fs::create_dir(&out).unwrap();

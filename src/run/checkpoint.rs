@@ -25,7 +25,7 @@ use crate::particles::{Bodies, Particles};
 use crate::scene::Scene;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use signal_hook::consts::{SIGTERM, SIGUSR1};
+use signal_hook::consts::{SIGTERM, SIGUSR1, SIGUSR2};
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::fs;
@@ -428,12 +428,13 @@ struct Signals {
 impl Signals {
     /// From now on these signals do not end the process.
     fn listen() -> Result<Self, Failure> {
-        let flag = |signal| {
-            let flag = Arc::new(AtomicBool::new(false));
-            let heard = signal_hook::flag::register(signal, Arc::clone(&flag));
-            heard.map(|_| flag).map_err(|e| Failure::Other(format!("cannot listen to signals: {e}")))
-        };
-        Ok(Signals { checkpoint: flag(SIGUSR1)?, end: flag(SIGTERM)? })
+        let signals = Signals { checkpoint: Arc::default(), end: Arc::default() };
+        // mpirun passes the second on as it is, and ends its ranks by force soon after the third
+        for (signal, flag) in [(SIGUSR1, &signals.checkpoint), (SIGUSR2, &signals.end), (SIGTERM, &signals.end)] {
+            signal_hook::flag::register(signal, Arc::clone(flag))
+                .map_err(|e| Failure::Other(format!("cannot listen to signals: {e}")))?;
+        }
+        Ok(signals)
     }
 
     fn asks_for_checkpoint(&self) -> bool {
