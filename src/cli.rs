@@ -47,6 +47,7 @@ Examples:
   jamhpc init sp -o scene.toml                  a commented scene of soft disks to change
   jamhpc run scene.toml --check                 is it valid? what are its values, defaults included?
   mpirun -n 4 jamhpc run scene.toml --set n_particles=1024 --set seed=7 -o seed7
+  jamhpc run scene.toml --resume                go on with a run that was killed, on any number of ranks
   jamhpc info jamhpc-out/*.h5                   what is in a results file
   jamhpc render FILE.h5 --frame 3 --color-by pressure -o frame3.png
   jamhpc evaluate FILE.json                     energy, forces, stress, contacts of one configuration
@@ -54,7 +55,8 @@ Examples:
   jamhpc check FILE.h5                          is every frame relaxed, uncrossed, and what it says it is?
   jamhpc validate                               is this build right? exact checks, less than a minute
 
-Exit codes: 0 done, 2 bad input, 3 a state did not converge, 1 other failures, 70 internal error.";
+Exit codes: 0 done, 2 bad input, 3 a state did not converge, 1 other failures, 85 interrupted by a signal
+(--resume goes on), 70 internal error.";
 
 /// What to do.
 #[derive(Debug, Subcommand)]
@@ -171,6 +173,9 @@ pub struct RunOptions {
     /// Folder of the results, made if absent [default: output.directory of the scene]
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
+    /// Go on with a run that was interrupted or killed, from its last checkpoint, to the same bits
+    #[arg(long)]
+    pub resume: bool,
     /// Change one key of the scene, such as --set onset.step=0.001; may be repeated
     #[arg(long, value_name = "PATH.TO.KEY=VALUE")]
     pub set: Vec<String>,

@@ -36,11 +36,11 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
         None => {
             let scene = read_scene(&comm, None, &cli.options)?;
-            run::run(comm, &scene, speaks)
+            run::run(comm, &scene, cli.options.resume, speaks)
         }
         Some(Command::Run { scene, options, check }) => {
             let scene = read_scene(&comm, Some(scene), options)?;
-            if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, speaks) }
+            if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, options.resume, speaks) }
         }
         Some(Command::Evaluate { file, frame, with, output }) => {
             let text = read_configuration(&comm, file, *frame)?;

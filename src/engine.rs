@@ -32,6 +32,8 @@ pub enum EngineError {
     Moduli { linear_response: f64, strained: f64 },
     #[error("the outlines of particles {0} and {1} cross: crossed outlines never untangle, so the state is not valid")]
     Crossing(u32, u32),
+    #[error("interrupted")]
+    Interrupted,
     #[error("the voids found fill {found:.15} of the box, but particles leave {left:.15}: please report this state")]
     Voids { found: f64, left: f64 },
 }

@@ -12,6 +12,8 @@ pub mod exit {
     pub const FAILURE: u8 = 1;
     pub const BAD_INPUT: u8 = 2;
     pub const NOT_CONVERGED: u8 = 3;
+    /// By a signal, with all work kept: batch systems take it for a wish to be started again.
+    pub const INTERRUPTED: u8 = 85;
 }
 
 /// Why a command has no result. The message says what to do about it.
@@ -23,6 +25,9 @@ pub enum Failure {
     /// A state did not come to force balance.
     #[error("{0}")]
     NotConverged(String),
+    /// A signal ended it; it can be resumed.
+    #[error("{0}")]
+    Interrupted(String),
     /// Anything else: a full disk, a file that vanished, forces that run away.
     #[error("{0}")]
     Other(String),
@@ -33,6 +38,7 @@ impl Failure {
         match self {
             Failure::Input(_) => exit::BAD_INPUT,
             Failure::NotConverged(_) => exit::NOT_CONVERGED,
+            Failure::Interrupted(_) => exit::INTERRUPTED,
             Failure::Other(_) => exit::FAILURE,
         }
     }
@@ -42,6 +48,7 @@ impl Failure {
         match self {
             Failure::Input(text) => Failure::Input(format!("{text}; {remark}")),
             Failure::NotConverged(text) => Failure::NotConverged(format!("{text}; {remark}")),
+            Failure::Interrupted(text) => Failure::Interrupted(format!("{text}; {remark}")),
             Failure::Other(text) => Failure::Other(format!("{text}; {remark}")),
         }
     }
@@ -64,6 +71,7 @@ impl From<EngineError> for Failure {
     fn from(error: EngineError) -> Self {
         match error {
             EngineError::TooManyRanks(_) | EngineError::BoxTooSmall { .. } => Failure::Input(error.to_string()),
+            EngineError::Interrupted => Failure::Interrupted(error.to_string()),
             EngineError::Runaway { .. }
             | EngineError::Crossing(..)
             | EngineError::Voids { .. }

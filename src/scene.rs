@@ -39,6 +39,7 @@ pub struct Scene {
     pub measure: Measure,
     pub minimize: Minimize,
     pub neighbor: Neighbor,
+    pub checkpoint: Checkpoint,
     pub output: Output,
 }
 
@@ -223,6 +224,13 @@ pub enum Method {
 pub struct Neighbor {
     /// Extra reach of the neighbour lists (sigma_S or l).
     pub skin: f64,
+}
+
+/// What a run that is killed does not lose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Checkpoint {
+    /// Seconds between checkpoints.
+    pub interval: f64,
 }
 
 /// What is written, and where.
@@ -499,6 +507,7 @@ const KEYS: &[Key] = &[
     both("minimize.max_iterations", Int(1, 1_000_000_000), "1_000_000"),
     sp("neighbor.skin", Float(1e-3, 5.0), "0.3"),
     dp("neighbor.skin", Float(1e-3, 5.0), "0.1"),
+    both("checkpoint.interval", Float(0.0, 1e9), "600.0"),
     both("output.directory", Text, "\"jamhpc-out\""),
     both("output.picture", Bool, "true"),
     both("output.color_by", Choice(&["z", "shape_parameter", "pressure"]), "\"z\""),

@@ -1,7 +1,8 @@
 //! The program as a user meets it: what it prints, which files it leaves, how it refuses bad input.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// Seconds after which a program that hangs is ended, with exit code 124.
@@ -10,6 +11,33 @@ const LIMIT: &str = "60";
 /// An empty folder in which the program is started.
 struct Place {
     folder: TempDir,
+}
+
+/// A run that a test is going to end.
+struct Running {
+    child: Child,
+}
+
+impl Running {
+    /// Waits until something has come true, while the program runs.
+    #[track_caller]
+    fn until(&mut self, is_true: impl Fn() -> bool) {
+        let start = Instant::now();
+        while !is_true() {
+            assert!(self.child.try_wait().unwrap().is_none(), "the run has ended before it was interrupted");
+            assert!(start.elapsed() < Duration::from_secs(60), "the run hangs");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    fn signal(&self, name: &str) {
+        let sent = Command::new("kill").args([format!("-{name}"), self.child.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+    }
+
+    fn end(self) -> Outcome {
+        Outcome::from(self.child.wait_with_output().unwrap())
+    }
 }
 
 /// How a program ended and what it said.
@@ -22,6 +50,14 @@ struct Outcome {
 impl Place {
     fn new() -> Self {
         Place { folder: tempfile::tempdir().unwrap() }
+    }
+
+    /// In memory, where there is such a folder: hundreds of checkpoints are hard on a disk.
+    fn in_memory(scene: &str) -> Self {
+        let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
+        let place = Place { folder };
+        place.write("scene.toml", scene);
+        place
     }
 
     fn with(name: &str, text: &str) -> Self {
@@ -72,10 +108,19 @@ impl Place {
     }
 
     fn start(&self, launcher: &[&str], arguments: &[&str]) -> Outcome {
-        let output = Command::new("timeout")
-            .arg(LIMIT)
-            .args(launcher)
-            .arg(env!("CARGO_BIN_EXE_jamhpc"))
+        let words = [&[LIMIT], launcher, &[env!("CARGO_BIN_EXE_jamhpc")], arguments].concat();
+        Outcome::from(self.command("timeout", &words).output().unwrap())
+    }
+
+    /// `jamhpc` as a single process that is not waited for.
+    fn spawn(&self, arguments: &[&str]) -> Running {
+        let mut command = self.command(env!("CARGO_BIN_EXE_jamhpc"), arguments);
+        Running { child: command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap() }
+    }
+
+    fn command(&self, program: &str, arguments: &[&str]) -> Command {
+        let mut command = Command::new(program);
+        command
             .args(arguments)
             .current_dir(self.path())
             // Open MPI: as root in a container, more ranks than cores
@@ -85,10 +130,8 @@ impl Place {
             .env("OMPI_MCA_hwloc_base_binding_policy", "none")
             .env("OMPI_MCA_mpi_yield_when_idle", "1")
             .env("RAYON_NUM_THREADS", "1")
-            .env_remove("JAMHPC_LOG")
-            .output()
-            .unwrap();
-        Outcome::from(output)
+            .env_remove("JAMHPC_LOG");
+        command
     }
 
     /// Refused with exit code 2 and one message that says all of `expected`; nothing was written.
@@ -323,7 +366,7 @@ fn a_folder_that_cannot_be_written_is_refused_before_any_work() {
 #[test]
 fn wrong_flags_are_refused() {
     let place = Place::new();
-    place.refuses(&["--resume"], &["unexpected argument", "--resume"]);
+    place.refuses(&["--restart"], &["unexpected argument", "--restart"]);
     place.refuses(&["run"], &["required"]);
     place.refuses(&["dance"], &["dance"]);
     place.refuses(&["--threads", "0"], &["--threads", "0"]);
@@ -466,4 +509,155 @@ fn a_relaxation_that_does_not_converge_hands_its_state_on() {
     assert!(String::from_utf8(place.read("end.json")).unwrap().contains("\"converged\":false"));
     place.jamhpc(&["minimize", "end.json", "-o", "end.json"]).succeeds();
     assert!(String::from_utf8(place.read("end.json")).unwrap().contains("\"converged\":true"));
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+// Interrupted and resumed
+
+/// Some seconds of work with every phase of a run in it, and a checkpoint every 64 iterations.
+const INTERRUPTED: [&str; 2] = [
+    "model = 'sp'\nn_particles = 128\n[compression]\nincrements = [1e-2]\n[shear]\nuntil = 0.01\n\
+     [checkpoint]\ninterval = 0\n",
+    "model = 'dp'\nn_particles = 24\n[onset]\nstep = 0.04\npressure = [1e-2, 0.1]\n[compression]\nincrements = [1e-2]\n\
+     [minimize]\nforce_tolerance = 1e-3\n[checkpoint]\ninterval = 0\n",
+];
+const RUN: [&str; 4] = ["run", "scene.toml", "-o", "out"];
+const RESUME: [&str; 5] = ["run", "scene.toml", "-o", "out", "--resume"];
+
+/// Files of a checkpoint whose names begin like this.
+fn checkpoint_files(place: &Path, start: &str) -> Vec<PathBuf> {
+    let Ok(entries) = std::fs::read_dir(place.join("out/checkpoint")) else { return Vec::new() };
+    let paths = entries.map(|entry| entry.unwrap().path());
+    let mut files: Vec<PathBuf> = paths
+        .filter(|path| path.extension().is_some_and(|e| e == "records"))
+        .filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(start))
+        .collect();
+    files.sort();
+    files
+}
+
+/// A run that was killed when it had written so many files of outcomes and then some of the next minimisation.
+fn killed(place: &Place, arguments: &[&str], outcomes: usize) {
+    let mut running = place.spawn(arguments);
+    let place = place.path();
+    running.until(|| checkpoint_files(place, "done").len() >= outcomes);
+    let now = checkpoint_files(place, "running").first().and_then(|file| file.metadata().ok()?.modified().ok());
+    running.until(|| {
+        let file = checkpoint_files(place, "running-before");
+        file.first().is_some_and(|file| file.metadata().is_ok_and(|m| m.modified().ok() != now))
+    });
+    running.signal("KILL");
+    assert_eq!(running.end().code, None);
+}
+
+#[test]
+fn a_killed_run_goes_on_to_the_same_bytes() {
+    for (scene, ranks) in [(INTERRUPTED[0], 1..=4), (INTERRUPTED[1], 3..=3)] {
+        let undisturbed = Place::in_memory(scene);
+        let table = |outcome: Outcome| outcome.succeeds().stdout.lines().take(6).map(String::from).collect::<Vec<_>>();
+        let expected = table(undisturbed.jamhpc(&[&RUN[..], &["--set", "checkpoint.interval=600"]].concat()));
+        assert_eq!(table(undisturbed.jamhpc(&RUN)), expected);
+        let names: Vec<PathBuf> = undisturbed.files().iter().map(|f| f.file_name().unwrap().into()).collect();
+        assert!(!names.contains(&"checkpoint".into()), "{names:?}");
+        for ranks in ranks {
+            let place = Place::in_memory(scene);
+            killed(&place, &RUN, ranks);
+            killed(&place, &RESUME, ranks + 2);
+            assert_eq!(table(place.ranks(ranks as u32, &RESUME)), expected, "{ranks} ranks");
+            assert!(place.read("out/results.h5") == undisturbed.read("out/results.h5"), "{ranks} ranks");
+            assert!(!place.path().join("out/checkpoint").exists());
+        }
+    }
+}
+
+#[test]
+fn what_is_missing_of_a_checkpoint_is_done_again() {
+    let scene = INTERRUPTED[0];
+    let undisturbed = Place::in_memory(scene);
+    undisturbed.jamhpc(&RUN).succeeds();
+    let damage = |file: &Path| {
+        let mut bytes = std::fs::read(file).unwrap();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        std::fs::write(file, bytes).unwrap();
+    };
+    for (start, which) in [("running.", 0), ("running-before", 0), ("done", 0), ("done", 3)] {
+        let place = Place::in_memory(scene);
+        killed(&place, &RUN, 6);
+        let file = &checkpoint_files(place.path(), start)[which];
+        damage(file);
+        let outcome = place.ranks(2, &RESUME).succeeds();
+        // the older state of a minimisation is looked at only if the newer one is no good
+        let is_read = start != "running-before";
+        assert_eq!(
+            outcome.stderr.contains("is damaged (its checksum is wrong); what it"),
+            is_read,
+            "{}",
+            outcome.stderr
+        );
+        assert!(place.read("out/results.h5") == undisturbed.read("out/results.h5"), "{file:?}");
+    }
+}
+
+#[test]
+fn a_checkpoint_of_something_else_is_refused() {
+    let place = Place::in_memory(INTERRUPTED[0]);
+    place.refuses(&RESUME, &["no checkpoint in out/checkpoint", "Leave --resume out"]);
+    killed(&place, &RUN, 2);
+    place.refuses(&RUN, &["out/checkpoint", "has not ended", "--resume"]);
+    place.refuses(&[&RESUME[..], &["--set", "seed=2"]].concat(), &["`seed` is 2, but 1", "scene.toml"]);
+    place.refuses(
+        &[&RESUME[..], &["--set", "compression.until=0.9"]].concat(),
+        &["`compression.increments` is absent, but [0.01]"],
+    );
+    // what does not decide results may change
+    let picture = [&RESUME[..], &["--set", "output.picture=false", "--set", "checkpoint.interval=60"]].concat();
+    place.jamhpc(&picture).succeeds();
+}
+
+#[test]
+fn signals_write_checkpoints() {
+    ["TERM", "USR2"].map(ended_by);
+}
+
+fn ended_by(signal: &str) {
+    let scene = INTERRUPTED[0].replace("128", "8192").replace("interval = 0", "interval = 1e9");
+    let place = Place::in_memory(&scene);
+    let mut running = place.spawn(&RUN);
+    running.until(|| place.path().join("out/results.h5.part").exists());
+    assert!(!place.path().join("out/checkpoint").exists());
+    running.signal("USR1");
+    running.until(|| place.path().join("out/checkpoint/scene.toml").exists());
+    running.signal(signal);
+    running.end().fails_with(85, &["ended by a signal", "out/checkpoint", "--resume"]);
+    assert!(!checkpoint_files(place.path(), "").is_empty());
+    let info = place.jamhpc(&["info", "out/results.h5.part"]).succeeds().stdout;
+    assert!(info.contains("running, or killed before its end"), "{info}");
+}
+
+#[test]
+fn a_full_disk_leaves_the_checkpoint_before() {
+    let place = Place::in_memory(INTERRUPTED[0]);
+    let undisturbed = Place::in_memory(INTERRUPTED[0]);
+    undisturbed.jamhpc(&RUN).succeeds();
+    let out = place.path().join("out");
+    std::fs::create_dir(&out).unwrap();
+    let mount = |options: &str| {
+        let words = ["-t", "tmpfs", "-o", options, "tmpfs"];
+        Command::new("mount").args(words).arg(&out).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
+    };
+    if !mount("size=1200k") {
+        return; // only root may
+    }
+    for ranks in [1, 2] {
+        let arguments = if ranks == 1 { &RUN[..] } else { &RESUME };
+        let failure = place.ranks(ranks, arguments);
+        failure.fails_with(1, &["out/checkpoint/", "No space left", "free some space", "--resume"]);
+        assert!(!checkpoint_files(place.path(), "done").is_empty());
+    }
+    assert!(mount("remount,size=16m"));
+    place.ranks(2, &RESUME).succeeds();
+    let same = place.read("out/results.h5") == undisturbed.read("out/results.h5");
+    assert!(Command::new("umount").arg(&out).status().unwrap().success());
+    assert!(same);
 }

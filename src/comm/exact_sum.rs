@@ -10,22 +10,22 @@ const LIMB: i32 = 34;
 const ROUNDER: f64 = 6_755_399_441_055_744.0;
 
 /// The grid of one sum: a power of two chosen from a bound on its terms.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(transparent)]
 pub struct Grid {
     up: f64,
-    exponent: i32,
 }
 
 impl Grid {
     /// A grid for terms of magnitude up to `bound` (any non-negative finite number).
     pub fn for_terms_up_to(bound: f64) -> Self {
         let exponent = if bound > 0.0 { (LIMB - 1 - ilog2(bound)).clamp(-990, 900) } else { 0 };
-        Grid { up: power_of_two(exponent), exponent }
+        Grid { up: power_of_two(exponent) }
     }
 
     /// The largest magnitude a term may have.
     pub fn limit(&self) -> f64 {
-        power_of_two(LIMB - self.exponent)
+        power_of_two(LIMB) / self.up
     }
 }
 
@@ -57,7 +57,7 @@ impl ExactSum {
     /// The sum, correctly rounded from the limbs.
     pub fn value(&self, grid: Grid) -> f64 {
         let whole = ((self.limbs[0] as i128) << LIMB) + self.limbs[1] as i128;
-        // two steps, because 2^-(exponent + LIMB) alone may underflow
+        // two steps, because the product of both scales alone may underflow
         whole as f64 * power_of_two(-LIMB) / grid.up
     }
 }

@@ -1,9 +1,10 @@
-use super::{Goal, Minimized, Minimizer, RUNAWAY, Report};
+use super::{Goal, Minimized, Minimizer, RUNAWAY, Report, all_turns, memory_of, remembered};
 use crate::comm::{FusedSums, Grid, Sums, Totals};
 use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, dot};
 use crate::lanes::{self, Kernel, Lanes};
 use crate::model::Model;
+use bytemuck::{Pod, Zeroable};
 
 /// Nonlinear conjugate gradients after Polak and Ribière, β never negative (PR+: Nocedal and Wright, Numerical
 /// Optimization, Eqs. 5.44 and 5.45), at little more than one force evaluation a step.
@@ -24,7 +25,7 @@ pub struct ConjugateGradient;
 /// Zeros of the slope between these parts of a trial step are interpolated; others are gone to.
 const NEAR: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 /// How often one line is tried again.
-const TRIALS: u32 = 3;
+const TRIALS: u64 = 3;
 /// A further trial is at least and at most so many times as long as the last.
 const SHRINK: f64 = 0.1;
 const GROW: f64 = 4.0;
@@ -32,7 +33,8 @@ const GROW: f64 = 4.0;
 const LEAST_SLOPE: f64 = 1e-3;
 
 /// The point that a line starts from: products of its forces g, with g·g short for that of forces and lightened forces.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
 struct Base {
     /// g·g.
     square: f64,
@@ -56,19 +58,50 @@ struct Trial {
     max_direction: f64,
 }
 
+/// What it knows between two steps, besides the directions d and the forces g.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Memory {
+    base: Base,
+    /// Of the trial step, in units of d.
+    length: f64,
+    trials: u64,
+    grids: [Grid; 3],
+    report: Report,
+}
+
 impl Minimizer for ConjugateGradient {
     fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
+        all_turns(self, system, goal)
+    }
+
+    fn advance<M: Model>(
+        &self,
+        system: &mut System<M>,
+        goal: &Goal,
+        memory: &mut Vec<u64>,
+        iterations: u64,
+    ) -> Result<Option<Minimized>, EngineError> {
         // no point moves farther than twice this in one step: once along the old direction, once along the new
         let cap = 0.5 * system.model.step_cap();
-        // d and g
-        system.carry(2);
-        let mut sums = FusedSums::default();
-        let mut base = Base::default();
-        // of the trial step, in units of d; the step of steepest descent that is stable for the stiffest mode at first
-        let mut length = system.model.time_step().powi(2);
-        let mut trials = 0;
-        let mut report = Report::default();
+        let Memory { mut base, mut length, mut trials, grids, mut report } = remembered(memory).unwrap_or_else(|| {
+            system.carry(2);
+            Memory {
+                base: Base::default(),
+                // the step of steepest descent that is stable for the stiffest mode
+                length: system.model.time_step().powi(2),
+                trials: 0,
+                grids: FusedSums::default().grids,
+                report: Report::default(),
+            }
+        });
+        let mut sums = FusedSums { grids };
+        let until = report.iterations.saturating_add(iterations);
         loop {
+            if report.iterations >= until {
+                *memory = memory_of(&Memory { base, length, trials, grids: sums.grids, report });
+                return Ok(None);
+            }
             let trial = measure(system, &mut sums)?;
             report.force_evaluations += 1;
             report.max_force = trial.max_force;
@@ -77,10 +110,10 @@ impl Minimizer for ConjugateGradient {
                 return Err(EngineError::Runaway { particle });
             }
             if trial.max_force <= goal.force_tolerance {
-                return Ok(Minimized::Converged(report));
+                return Ok(Some(Minimized::Converged(report)));
             }
             if report.iterations >= goal.max_iterations {
-                return Ok(Minimized::Unconverged(report));
+                return Ok(Some(Minimized::Unconverged(report)));
             }
             report.iterations += 1;
 

@@ -1,9 +1,10 @@
-use super::{Goal, Minimized, Minimizer, RUNAWAY, Report};
+use super::{Goal, Minimized, Minimizer, RUNAWAY, Report, all_turns, memory_of, remembered};
 use crate::comm::{FusedSums, Grid, Sums, Totals};
 use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, dot};
 use crate::lanes::{self, Kernel, Lanes};
 use crate::model::Model;
+use bytemuck::{Pod, Zeroable};
 
 /// Fast inertial relaxation engine, version 2.0 (Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020)), semi-implicit
 /// Euler steps: mixing after the velocity update, half a step back where the power turns negative.
@@ -22,7 +23,7 @@ const ALPHA_SHRINK: f64 = 0.99;
 const STEP_GROW: f64 = 1.1;
 const STEP_SHRINK: f64 = 0.5;
 /// Steps with positive power before the time step grows.
-const DELAY: u32 = 20;
+const DELAY: u64 = 20;
 /// First time step over the largest.
 const STEP_START: f64 = 0.1;
 /// Smallest time step over the largest: below it FIRE would stand still with unbalanced forces.
@@ -41,17 +42,53 @@ struct Norms {
     max_lightened: f64,
 }
 
+/// What it knows between two steps, besides the velocities.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Memory {
+    dt: f64,
+    alpha: f64,
+    /// Steps since the power was last negative.
+    uphill_free: u64,
+    /// vᵀMv, followed from step to step: what the power and the forces say about it is exact.
+    velocity2: f64,
+    grids: [Grid; 2],
+    report: Report,
+}
+
 impl Minimizer for Fire {
     fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
+        all_turns(self, system, goal)
+    }
+
+    fn advance<M: Model>(
+        &self,
+        system: &mut System<M>,
+        goal: &Goal,
+        memory: &mut Vec<u64>,
+        iterations: u64,
+    ) -> Result<Option<Minimized>, EngineError> {
         let largest_step = system.model.time_step();
         let cap = system.model.step_cap();
-        system.carry(1);
-        let (mut dt, mut alpha, mut uphill_free) = (STEP_START * largest_step, ALPHA_START, 0u32);
-        let mut sums = FusedSums::default();
-        // vᵀMv, followed from step to step: what the power and the forces say about it is exact
-        let mut velocity2 = 0.0f64;
-        let mut report = Report::default();
+        let Memory { mut dt, mut alpha, mut uphill_free, mut velocity2, grids, mut report } = remembered(memory)
+            .unwrap_or_else(|| {
+                system.carry(1);
+                Memory {
+                    dt: STEP_START * largest_step,
+                    alpha: ALPHA_START,
+                    uphill_free: 0,
+                    velocity2: 0.0,
+                    grids: FusedSums::default().grids,
+                    report: Report::default(),
+                }
+            });
+        let mut sums = FusedSums { grids };
+        let until = report.iterations.saturating_add(iterations);
         loop {
+            if report.iterations >= until {
+                *memory = memory_of(&Memory { dt, alpha, uphill_free, velocity2, grids: sums.grids, report });
+                return Ok(None);
+            }
             let norms = measure(system, &mut sums)?;
             report.force_evaluations += 1;
             report.max_force = norms.max_force;
@@ -60,10 +97,10 @@ impl Minimizer for Fire {
                 return Err(EngineError::Runaway { particle });
             }
             if norms.max_force <= goal.force_tolerance {
-                return Ok(Minimized::Converged(report));
+                return Ok(Some(Minimized::Converged(report)));
             }
             if report.iterations >= goal.max_iterations {
-                return Ok(Minimized::Unconverged(report));
+                return Ok(Some(Minimized::Unconverged(report)));
             }
             report.iterations += 1;
 

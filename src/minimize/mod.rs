@@ -10,6 +10,8 @@ pub use newton::Newton;
 
 use crate::engine::{EngineError, System};
 use crate::model::Model;
+use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
 
 /// When to stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,7 +23,8 @@ pub struct Goal {
 }
 
 /// What a minimisation did.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Pod, Zeroable)]
+#[repr(C)]
 pub struct Report {
     pub iterations: u64,
     pub force_evaluations: u64,
@@ -57,4 +60,43 @@ const RUNAWAY: f64 = 1e12;
 /// values that are reduced over all ranks by order-independent sums or maxima.
 pub trait Minimizer {
     fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError>;
+
+    /// The same in turns of at most so many iterations, with `None` for an answer until it has come to its end. What it
+    /// must know at the next turn lies in `memory` (empty before the first, the same on all ranks) and in the carried
+    /// vectors of the particles: put back with them, also in another process, it goes on to the same bits.
+    ///
+    /// A minimiser that cannot be left does everything in one turn.
+    fn advance<M: Model>(
+        &self,
+        system: &mut System<M>,
+        goal: &Goal,
+        _memory: &mut Vec<u64>,
+        _iterations: u64,
+    ) -> Result<Option<Minimized>, EngineError> {
+        self.minimize(system, goal).map(Some)
+    }
+}
+
+/// All turns of a minimiser that knows them.
+fn all_turns<M: Model>(
+    minimizer: &impl Minimizer,
+    system: &mut System<M>,
+    goal: &Goal,
+) -> Result<Minimized, EngineError> {
+    let mut memory = Vec::new();
+    loop {
+        if let Some(minimized) = minimizer.advance(system, goal, &mut memory, u64::MAX)? {
+            return Ok(minimized);
+        }
+    }
+}
+
+/// What a minimiser left in its memory, or `None` before the first turn.
+fn remembered<T: Pod>(memory: &[u64]) -> Option<T> {
+    (!memory.is_empty()).then(|| bytemuck::pod_read_unaligned(bytemuck::cast_slice(memory)))
+}
+
+/// The memory that [`remembered`] reads; T is made of 64-bit numbers.
+fn memory_of<T: Pod>(state: &T) -> Vec<u64> {
+    bytemuck::cast_slice(bytemuck::bytes_of(state)).to_vec()
 }

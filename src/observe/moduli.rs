@@ -5,7 +5,7 @@ use crate::model::Model;
 use crate::stiffness::{Goal, Preconditioner, Stiffness, elastic, solve};
 
 /// A modulus: the answer of the stress to a strain, in units of the stress.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Modulus {
     /// All points relaxed: what an experiment measures. May be negative where the box alone is what holds a packing.
     pub linear_response: f64,
@@ -14,7 +14,7 @@ pub struct Modulus {
 }
 
 /// Whether the moduli mean something.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stability {
     /// The state is a minimum as far as the strains can tell.
@@ -27,7 +27,7 @@ pub enum Stability {
 }
 
 /// Elastic moduli of the present state by linear response, (U_EE − X·H⁺·X)/A with H = ∂²U/∂x∂x and X = ∂²U/∂x∂E.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Moduli {
     /// G = dΣ_xy/dγ of simple shear, x displaced by γ y, at fixed area.
     pub shear_modulus: Modulus,

@@ -34,6 +34,16 @@ impl Folder {
     pub fn file(&self, name: &str) -> PathBuf {
         self.path.join(name)
     }
+
+    /// Removes a file of the folder, if there is one. Collective.
+    pub fn remove(&self, comm: &Comm, name: &str) -> Result<(), OutputError> {
+        let path = self.file(name);
+        let removed = on_root(comm, || match fs::remove_file(&path) {
+            Err(e) if e.kind() != ErrorKind::NotFound => Err(explain(&e)),
+            _ => Ok(()),
+        });
+        removed.map_err(|reason| OutputError::write(&path, reason))
+    }
 }
 
 /// Locks a folder, where its file system knows locks.

@@ -1,5 +1,6 @@
-//! What a run leaves behind: one results file (H5MD), pictures and plots.
+//! What a run leaves behind: one results file (H5MD), pictures and plots; checkpoints on the way.
 
+mod checkpoint;
 mod error;
 pub mod folder;
 pub mod h5md;
@@ -10,6 +11,7 @@ pub mod read;
 pub mod render;
 mod rows;
 
+pub use checkpoint::{Record, read_records, write_records};
 pub use error::OutputError;
 pub use folder::Folder;
 pub use h5md::{Frame, Header, ResultsFile};

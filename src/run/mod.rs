@@ -1,5 +1,6 @@
 //! A scene from beginning to end: random start, onset search, compression, shear, and what is kept of it.
 
+mod checkpoint;
 pub mod drawing;
 mod memory;
 mod progress;
@@ -16,46 +17,64 @@ use crate::observe::{Moduli, OnsetBracket, Rattlers, Sample, check_no_crossing};
 use crate::output::Folder;
 use crate::protocol::{Onset, compress_to, find_onset, shear_by};
 use crate::scene::{Contact, Method, Physics, Scene};
+use checkpoint::Checkpoints;
 use progress::Progress;
 use records::Records;
 use std::path::Path;
 
-/// Runs a scene. The types of its model are chosen here, once; `speaks` allows progress lines.
-pub fn run(comm: Comm, scene: &Scene, speaks: bool) -> Result<(), Failure> {
+/// Runs a scene, or goes on with a run of it. The types of its model are chosen here, once; `speaks` allows progress
+/// lines.
+pub fn run(comm: Comm, scene: &Scene, resume: bool, speaks: bool) -> Result<(), Failure> {
+    let way = Way { scene, resume, speaks };
     match &scene.physics {
-        Physics::Sp(sp) => minimized_by(setup::soft_disks(comm, scene, sp)?, scene, speaks),
+        Physics::Sp(sp) => minimized_by(setup::soft_disks(comm, scene, sp)?, way),
         Physics::Dp(dp) => match dp.potential.contact {
-            Contact::VertexEdge => minimized_by(setup::deformable::<VertexEdge>(comm, scene, dp)?, scene, speaks),
-            Contact::EdgeEdge => minimized_by(setup::deformable::<EdgeEdge>(comm, scene, dp)?, scene, speaks),
+            Contact::VertexEdge => minimized_by(setup::deformable::<VertexEdge>(comm, scene, dp)?, way),
+            Contact::EdgeEdge => minimized_by(setup::deformable::<EdgeEdge>(comm, scene, dp)?, way),
         },
     }
 }
 
-fn minimized_by<M: Model>(system: System<M>, scene: &Scene, speaks: bool) -> Result<(), Failure> {
-    match scene.minimize.method {
-        Method::Fire => keep(system, &Fire, scene, speaks),
-        Method::Cg => keep(system, &ConjugateGradient, scene, speaks),
-        Method::Newton => keep(system, &Newton, scene, speaks),
+/// What is run, and how.
+#[derive(Clone, Copy)]
+struct Way<'a> {
+    scene: &'a Scene,
+    resume: bool,
+    speaks: bool,
+}
+
+fn minimized_by<M: Model>(system: System<M>, way: Way) -> Result<(), Failure> {
+    match way.scene.minimize.method {
+        Method::Fire => keep(system, &Fire, way),
+        Method::Cg => keep(system, &ConjugateGradient, way),
+        Method::Newton => keep(system, &Newton, way),
     }
 }
 
 /// Runs the protocol and keeps what it gives: samples as they come, then picture, plot and table. A run that fails
-/// keeps the samples that it had.
+/// keeps the samples that it had; one that is interrupted leaves its results file unfinished.
 fn keep<M: Model>(
     mut system: System<M>,
     minimizer: &impl Minimizer,
-    scene: &Scene,
-    speaks: bool,
+    Way { scene, resume, speaks }: Way,
 ) -> Result<(), Failure> {
+    let checkpoints = Checkpoints::new(&system.comm, minimizer, scene, resume)?;
     let directory = Path::new(&scene.output.directory);
     // held until the end of the run
     let folder = Folder::prepare(&system.comm, directory).map_err(|e| Failure::Input(e.to_string()))?;
     let mut progress = Progress::new(speaks && system.comm.is_root());
-    let mut records = Records::create(&system, scene, &folder)?;
-    let outcome = protocol(&mut system, minimizer, scene, &mut records, &mut progress);
+    let mut records = Records::create(&system, scene, &folder, resume)?;
+    let outcome = protocol(&mut system, &checkpoints, scene, &mut records, &mut progress);
     progress.finish();
+    if let Some(interruption) = checkpoints.interruption() {
+        return Err(interruption);
+    }
     let kept = records.finish(&mut system, scene, &folder, outcome.as_ref().err());
     progress.end(memory::peak(&system.comm, system.n_points()));
+    // what went wrong outside of the run, like a full disk, need not go wrong again
+    if kept.is_ok() && matches!(outcome, Ok(()) | Err(Failure::NotConverged(_))) {
+        checkpoints.remove(&system.comm);
+    }
     match outcome {
         Ok(()) => kept,
         Err(failure) if kept.is_ok() => {
@@ -69,7 +88,7 @@ fn keep<M: Model>(
 /// of the scene, every one force-balanced and uncrossed.
 fn protocol<M: Model>(
     system: &mut System<M>,
-    minimizer: &impl Minimizer,
+    minimizer: &Checkpoints<impl Minimizer>,
     scene: &Scene,
     records: &mut Records,
     progress: &mut Progress,
@@ -85,17 +104,17 @@ fn protocol<M: Model>(
         })?;
         records.set_onset(onset);
         state.onset = Some(onset);
-        sample(system, &last, state, records)?;
+        sample(system, minimizer, &last, state, records)?;
     }
     for density in scene.compression.samples(state.onset.map_or(0.0, |onset| onset.density)) {
         let report = compress_to(system, minimizer, &goal, density)?;
-        let pressure = sample(system, &report, state, records)?;
+        let pressure = sample(system, minimizer, &report, state, records)?;
         progress.state("compression", density, pressure / scene.pressure_unit(), report.iterations);
     }
     for strain in scene.shear.strains() {
         let report = shear_by(system, minimizer, &goal, strain - state.strain)?;
         state.strain = strain;
-        let pressure = sample(system, &report, state, records)?;
+        let pressure = sample(system, minimizer, &report, state, records)?;
         progress.state("shear", system.density()?, pressure / scene.pressure_unit(), report.iterations);
     }
     Ok(())
@@ -113,6 +132,7 @@ struct State<'a> {
 /// Measures the present state and appends it to the results; answers its pressure.
 fn sample<M: Model>(
     system: &mut System<M>,
+    minimizer: &Checkpoints<impl Minimizer>,
     report: &Report,
     State { scene, onset, strain }: State,
     records: &mut Records,
@@ -121,7 +141,7 @@ fn sample<M: Model>(
     let (mut sample, columns) = Sample::measure(system, report, Rattlers::default())?;
     sample.strain = strain;
     if scene.measure.moduli {
-        sample.moduli = Some(Moduli::of(system)?);
+        sample.moduli = Some(minimizer.remember(system, Moduli::of)?);
     }
     sample.onset = onset.map(|onset| OnsetBracket { onset: onset.density, unjammed: onset.unjammed });
     let density = system.density()?;

@@ -12,6 +12,7 @@ use crate::scene::Scene;
 use std::path::PathBuf;
 
 const RESULTS: &str = "results.h5";
+const UNFINISHED: &str = "results.h5.part";
 const PICTURES: [&str; 2] = ["packing.svg", "packing.png"];
 const PLOTS: [&str; 2] = ["plot.svg", "plot.png"];
 
@@ -26,9 +27,13 @@ pub struct Records {
 }
 
 impl Records {
-    /// Collective, like everything here.
-    pub fn create<M: Model>(system: &System<M>, scene: &Scene, folder: &Folder) -> Result<Self, Failure> {
+    /// A run that is resumed writes the unfinished file of the one before anew, with all that was in it. Collective,
+    /// like everything here.
+    pub fn create<M: Model>(system: &System<M>, scene: &Scene, folder: &Folder, resume: bool) -> Result<Self, Failure> {
         let header = setup::header(scene);
+        if resume {
+            folder.remove(&system.comm, UNFINISHED)?;
+        }
         let file = ResultsFile::create(&system.comm, &folder.file(RESULTS), &header, &system.own_particles())?;
         Ok(Records { file: Some(file), onset: None, samples: Vec::new(), densities: Vec::new() })
     }

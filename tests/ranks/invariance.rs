@@ -8,6 +8,7 @@ use jamhpc::geometry::PeriodicBox;
 use jamhpc::minimize::{ConjugateGradient, Fire, Goal, Minimizer, Newton};
 use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
 use jamhpc::observe::{Contacts, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
+use jamhpc::particles::Particles;
 use jamhpc::protocol::{OnsetSearch, compress_to, find_onset};
 
 pub fn forces_sp(comm: Comm) -> Outcome {
@@ -86,6 +87,44 @@ pub fn cg_dp(comm: Comm) -> Outcome {
     let tighter = system.pbox().with_area(0.88 * system.pbox().area());
     system.deform_rigidly(tighter);
     relax(system, ConjugateGradient, 5, 0.1)
+}
+
+/// A minimiser in short turns, between which its memory and the particles are all that is left of it: new lists, new
+/// owners. It must go the way of one that is never left.
+fn in_turns<M: Model + Clone>(mut system: System<M>, minimizer: impl Minimizer, goal: &Goal) -> Outcome {
+    let start = (*system.pbox(), system.own_particles());
+    let whole = minimizer.minimize(&mut system, goal).unwrap();
+    let expected = describe(&mut system);
+    system.restore(start.0, start.1);
+    let (mut memory, mut turns) = (Vec::new(), 0);
+    let parted = loop {
+        if let Some(minimized) = minimizer.advance(&mut system, goal, &mut memory, 17).unwrap() {
+            break minimized;
+        }
+        turns += 1;
+        // rank 0 gets all of them, and keeps those that are its own
+        let mut message = Vec::new();
+        (0..system.particles().len()).for_each(|p| system.particles().pack(p, true, &mut message));
+        let mut particles = Particles::empty(&system.model.bodies());
+        particles.carried = vec![Vec::new(); system.particles().carried.len()];
+        system.comm.gather(message).iter().for_each(|message| particles.unpack(message, true));
+        system.restore(start.0, particles);
+    };
+    assert!(turns > 10, "{turns} turns");
+    assert_eq!(parted, whole);
+    assert_eq!(describe(&mut system), expected);
+    expected
+}
+
+pub fn turns_fire(comm: Comm) -> Outcome {
+    let mut system = random_dp::<VertexEdge>(comm, 64, unit_box(0.0), 0.75, 0.9);
+    let tighter = system.pbox().with_area(0.88 * system.pbox().area());
+    system.deform_rigidly(tighter);
+    in_turns(system, Fire, &goal(1e-9, 500))
+}
+
+pub fn turns_cg(comm: Comm) -> Outcome {
+    in_turns(random_sp(comm, 256, unit_box(0.0), 0.9, 0.9), ConjugateGradient, &goal(1e-12, 5000))
 }
 
 /// An onset search and a compression step, with every state on the way.
