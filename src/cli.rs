@@ -69,6 +69,20 @@ pub enum Command {
         #[arg(long, visible_alias = "dry-run")]
         check: bool,
     },
+    /// Make the packings of a study that are still missing, then its report, tables and figures
+    Study {
+        /// The study, a TOML file
+        study: PathBuf,
+        /// Folder of the results, made if absent; named after the study if not given
+        #[arg(short, long, value_name = "DIR")]
+        output: Option<PathBuf>,
+        /// Only validate: print which packings are asked for, and stop
+        #[arg(long, visible_alias = "dry-run")]
+        check: bool,
+        /// Try packings again that did not converge before
+        #[arg(long)]
+        retry: bool,
+    },
     /// Energy, forces, stress and observables of a configuration, as JSON
     Evaluate {
         /// A configuration in JSON, or one of our results files
@@ -155,7 +169,7 @@ pub enum Command {
     },
     /// Print a commented scene with every key, to start from
     Init {
-        /// Soft disks (sp) or deformable particles (dp)
+        /// A scene of soft disks (sp) or of deformable particles (dp), or a study of many packings
         #[arg(value_enum, default_value_t = Starter::Dp)]
         model: Starter,
         /// Write it to this file, which must not exist yet
@@ -194,6 +208,7 @@ pub struct Settings {
 pub enum Starter {
     Sp,
     Dp,
+    Study,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

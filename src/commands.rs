@@ -11,6 +11,7 @@ use crate::output::folder::write_whole;
 use crate::output::info;
 use crate::run;
 use crate::scene::{self, Method, Scene};
+use crate::study::{self, plan::Plan};
 use crate::validate::{self, Effort};
 use std::path::Path;
 
@@ -41,6 +42,15 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
         Some(Command::Run { scene, options, check }) => {
             let scene = read_scene(&comm, Some(scene), options)?;
             if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, speaks) }
+        }
+        Some(Command::Study { study, output, check, retry }) => {
+            let plan = Plan::parse(&read_text(&comm, study)?, &study.display().to_string())?;
+            if *check {
+                return print(&comm, &plan.summary());
+            }
+            let folder = output.clone().unwrap_or_else(|| study.file_stem().map_or_else(Default::default, Into::into));
+            let summary = study::run(&comm, &plan, &folder, *retry, speaks)?;
+            print(&comm, &summary)
         }
         Some(Command::Evaluate { file, frame, with, output }) => {
             let text = read_configuration(&comm, file, *frame)?;
@@ -95,6 +105,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let text = match model {
                 Starter::Sp => scene::SP_STARTER,
                 Starter::Dp => scene::DP_STARTER,
+                Starter::Study => study::plan::STARTER,
             };
             match output {
                 None => print(&comm, text),

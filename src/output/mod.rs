@@ -1,4 +1,4 @@
-//! What a run leaves behind: one results file (H5MD), pictures and plots.
+//! What a run or a study leaves behind: one results file, pictures and plots.
 
 mod error;
 pub mod folder;
@@ -9,6 +9,7 @@ pub mod plot;
 pub mod read;
 pub mod render;
 mod rows;
+pub mod tables;
 
 pub use error::OutputError;
 pub use folder::Folder;

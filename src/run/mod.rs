@@ -1,8 +1,8 @@
 //! A scene from beginning to end: random start, onset search, compression, shear, and what is kept of it.
 
 pub mod drawing;
-mod progress;
-mod records;
+pub mod progress;
+pub mod records;
 pub mod setup;
 mod table;
 
@@ -11,7 +11,7 @@ use crate::engine::{EngineError, System};
 use crate::failure::Failure;
 use crate::minimize::{ConjugateGradient, Fire, Minimizer, Report};
 use crate::model::{EdgeEdge, Model, VertexEdge};
-use crate::observe::{Moduli, OnsetBracket, Rattlers, Sample, check_no_crossing};
+use crate::observe::{Moduli, OnsetBracket, PerParticle, Rattlers, Sample, check_no_crossing};
 use crate::output::Folder;
 use crate::protocol::{Onset, compress_to, find_onset, shear_by};
 use crate::scene::{Contact, Method, Physics, Scene};
@@ -19,22 +19,57 @@ use progress::Progress;
 use records::Records;
 use std::path::Path;
 
-/// Runs a scene. The types of its model are chosen here, once; `speaks` allows progress lines.
+/// Runs a scene and keeps its results in a folder; `speaks` allows progress lines.
 pub fn run(comm: Comm, scene: &Scene, speaks: bool) -> Result<(), Failure> {
+    with_system(comm, scene, Keep { scene, speaks })
+}
+
+/// Something to do with the system of a scene, whose types are known only once the scene has been read.
+pub trait Task {
+    fn act<M: Model>(self, system: System<M>, minimizer: &impl Minimizer) -> Result<(), Failure>;
+}
+
+/// Sets a scene up at its random start. The types of its model and its minimiser are chosen here, once.
+pub fn with_system(comm: Comm, scene: &Scene, task: impl Task) -> Result<(), Failure> {
     match &scene.physics {
-        Physics::Sp(sp) => minimized_by(setup::soft_disks(comm, scene, sp)?, scene, speaks),
+        Physics::Sp(sp) => minimized_by(setup::soft_disks(comm, scene, sp)?, scene, task),
         Physics::Dp(dp) => match dp.potential.contact {
-            Contact::VertexEdge => minimized_by(setup::deformable::<VertexEdge>(comm, scene, dp)?, scene, speaks),
-            Contact::EdgeEdge => minimized_by(setup::deformable::<EdgeEdge>(comm, scene, dp)?, scene, speaks),
+            Contact::VertexEdge => minimized_by(setup::deformable::<VertexEdge>(comm, scene, dp)?, scene, task),
+            Contact::EdgeEdge => minimized_by(setup::deformable::<EdgeEdge>(comm, scene, dp)?, scene, task),
         },
     }
 }
 
-fn minimized_by<M: Model>(system: System<M>, scene: &Scene, speaks: bool) -> Result<(), Failure> {
+fn minimized_by<M: Model>(system: System<M>, scene: &Scene, task: impl Task) -> Result<(), Failure> {
     match scene.minimize.method {
-        Method::Fire => keep(system, &Fire, scene, speaks),
-        Method::Cg => keep(system, &ConjugateGradient, scene, speaks),
+        Method::Fire => task.act(system, &Fire),
+        Method::Cg => task.act(system, &ConjugateGradient),
     }
+}
+
+struct Keep<'a> {
+    scene: &'a Scene,
+    speaks: bool,
+}
+
+impl Task for Keep<'_> {
+    fn act<M: Model>(self, system: System<M>, minimizer: &impl Minimizer) -> Result<(), Failure> {
+        keep(system, minimizer, self.scene, self.speaks)
+    }
+}
+
+/// Who takes what a protocol gives.
+pub trait Sink {
+    fn set_onset(&mut self, onset: Onset);
+
+    /// A sample of the system's present state; `density` is what the protocol set. Collective.
+    fn append<M: Model>(
+        &mut self,
+        system: &System<M>,
+        density: f64,
+        sample: Sample,
+        columns: &PerParticle,
+    ) -> Result<(), Failure>;
 }
 
 /// Runs the protocol and keeps what it gives: samples as they come, then picture, plot and table. A run that fails
@@ -64,11 +99,11 @@ fn keep<M: Model>(
 
 /// The protocol: a sample at the onset, then at each density and at each shear strain of the scene, every one
 /// force-balanced and uncrossed.
-fn protocol<M: Model>(
+pub fn protocol<M: Model>(
     system: &mut System<M>,
     minimizer: &impl Minimizer,
     scene: &Scene,
-    records: &mut Records,
+    records: &mut impl Sink,
     progress: &mut Progress,
 ) -> Result<(), Failure> {
     let goal = setup::goal(scene);
@@ -81,7 +116,7 @@ fn protocol<M: Model>(
     records.set_onset(onset);
     let mut state = State { scene, onset, strain: 0.0 };
     sample(system, &last, state, records)?;
-    for density in scene.compression.samples(onset.density) {
+    for density in scene.samples(onset.density) {
         let report = compress_to(system, minimizer, &goal, density)?;
         let pressure = sample(system, &report, state, records)?;
         progress.state("compression", density, pressure / scene.pressure_unit(), report.iterations);
@@ -108,7 +143,7 @@ fn sample<M: Model>(
     system: &mut System<M>,
     report: &Report,
     State { scene, onset, strain }: State,
-    records: &mut Records,
+    records: &mut impl Sink,
 ) -> Result<f64, Failure> {
     refuse_crossings(system)?;
     let (mut sample, columns) = Sample::measure(system, report, Rattlers::default())?;

@@ -1,0 +1,1 @@
+//! Averages, their errors, and fits.

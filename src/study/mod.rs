@@ -1,0 +1,90 @@
+//! Studies: packings of many sizes and seeds, made by groups of ranks, then averaged, fitted and drawn.
+//!
+//! `plan` says which packings there are, `schedule` who makes them, `record` what is kept of each and `store` where.
+
+pub mod plan;
+mod progress;
+pub mod record;
+pub mod schedule;
+pub mod store;
+
+use crate::comm::Comm;
+use crate::failure::Failure;
+use crate::output::Folder;
+use plan::{Member, Plan};
+use progress::Progress;
+use record::Record;
+use schedule::{Claims, Job};
+use std::collections::BTreeSet;
+use std::path::Path;
+use store::Store;
+
+/// Makes the packings that are missing in the folder of a study, gathers all of them and answers a summary of what
+/// there is (on rank 0). Collective.
+pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool) -> Result<String, Failure> {
+    // held until the end
+    let folder = Folder::prepare(comm, directory).map_err(|e| Failure::Input(e.to_string()))?;
+    let claims = folder.file("claims");
+    let members: Vec<Member> = plan.members().collect();
+    let missing = comm.from_root(|| {
+        Claims::reset(&claims)?;
+        let done: BTreeSet<String> = store::gather(directory, plan, retry)?.records.iter().map(Record::id).collect();
+        Ok::<_, Failure>(members.iter().map(|m| !done.contains(&m.id()) as u8).collect())
+    })?;
+    let job = |k: usize| Job { member: k, ranks: members[k].group.ranks, cost: members[k].group.cost() };
+    let mut jobs: Vec<Job> = (0..members.len()).filter(|&k| missing[k] == 1).map(job).collect();
+    schedule::sort(&mut jobs);
+
+    let mut progress = Progress::new(speaks && comm.is_root(), directory, &members, &jobs);
+    let worked = schedule::work(comm, &jobs, &Claims::in_folder(&claims), &mut |group, job| {
+        let member = &members[job.member];
+        let started = std::time::Instant::now();
+        let record = Record::make(group.duplicate(), member)?;
+        if let Some(reason) = &record.failure {
+            tracing::warn!(member = member.id(), reason, "failed");
+        }
+        group.from_root(|| {
+            store::keep(directory, &record)?;
+            progress::note(directory, member, group.size(), started.elapsed())?;
+            Ok::<_, Failure>(Vec::new())
+        })?;
+        progress.show();
+        Ok(())
+    });
+    progress.finish();
+    // a group that has met an error is waited for by the others, and what all of them made is kept
+    let failed = comm.any(worked.is_err());
+    let reasons = comm.gather(worked.err().map_or(Vec::new(), |e| e.to_string().bytes().map(u64::from).collect()));
+    let summary = comm.from_root(|| {
+        let store = store::gather(directory, plan, false)?;
+        // claims of finished work say nothing
+        let _ = std::fs::remove_dir_all(&claims);
+        if failed {
+            let bytes = reasons.iter().find(|words| !words.is_empty());
+            let bytes: Vec<u8> = bytes.into_iter().flatten().map(|&word| word as u8).collect();
+            let reason = String::from_utf8_lossy(&bytes).into_owned();
+            let kept = store.records.len();
+            return Err(Failure::Other(reason).and(&format!("{kept} of {} packings are kept", members.len())));
+        }
+        Ok(summary(plan, &store, directory).into_bytes())
+    })?;
+    Ok(String::from_utf8_lossy(&summary).into_owned())
+}
+
+/// What there is of each group, and why packings failed.
+fn summary(plan: &Plan, store: &Store, directory: &Path) -> String {
+    let mut out = format!("{:<24} {:>8} {:>8} {:>14}\n", "group", "packings", "failed", "rank-seconds");
+    let seconds = progress::times(directory);
+    for group in &plan.groups {
+        let own = |r: &&Record| r.ensemble == group.ensemble && r.n_particles == group.scene.n_particles as u64;
+        let records: Vec<&Record> = store.records.iter().filter(own).collect();
+        let failed: Vec<&str> = records.iter().filter_map(|r| r.failure.as_deref()).collect();
+        let id = group.id();
+        let mean = seconds.get(&id).map_or("-".to_owned(), |[sum, n]| format!("{:.2}", sum / n));
+        out += &format!("{id:<24} {:>8} {:>8} {mean:>14}\n", records.len(), failed.len());
+        if let Some(reason) = failed.first() {
+            out += &format!("  such as: {reason}\n");
+        }
+    }
+    out
+}
