@@ -11,7 +11,7 @@ use crate::output::folder::write_whole;
 use crate::output::info;
 use crate::run;
 use crate::scene::{self, Method, Scene};
-use crate::study::{self, plan::Plan};
+use crate::study::{self, figures::NUMBERS, plan::Plan};
 use crate::validate::{self, Effort};
 use std::path::Path;
 
@@ -51,6 +51,15 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let folder = output.clone().unwrap_or_else(|| study.file_stem().map_or_else(Default::default, Into::into));
             let summary = study::run(&comm, &plan, &folder, *retry, speaks)?;
             print(&comm, &summary)
+        }
+        Some(Command::Plot { study, figure, all }) => {
+            let numbers = figure.as_ref().map_or(&NUMBERS[..], std::slice::from_ref);
+            let list = comm.from_root(|| {
+                let written = study::draw(study, numbers, *all)?;
+                let lines: String = written.iter().skip(1).map(|path| format!("{}\n", path.display())).collect();
+                Ok::<_, Failure>(lines.into_bytes())
+            })?;
+            print(&comm, &String::from_utf8_lossy(&list))
         }
         Some(Command::Evaluate { file, frame, with, output }) => {
             let text = read_configuration(&comm, file, *frame)?;

@@ -3,7 +3,7 @@
 use super::error::{OutputError, agree};
 use super::folder::write_whole;
 use super::picture::{Outline, Packing, PictureError};
-use super::plot::{Axes, Series, panels};
+use super::plot::{Axes, Panels, Series, panels};
 use super::rows::{to_blocks, whole};
 use crate::comm::Comm;
 use crate::geometry::{PeriodicBox, add};
@@ -105,7 +105,12 @@ pub fn write_plot(path: &Path, series: &[(String, Vec<f64>)]) -> Result<(), Outp
     let axes = run_axes(series);
     let figure = panels(&axes, 2);
     let plain = [Axes { x_label: "density".to_owned(), ..Axes::default() }];
-    let figure = if axes.is_empty() { panels(&plain, 1) } else { figure };
+    let plain_figure = panels(&plain, 1);
+    write_panels(path, if axes.is_empty() { &plain_figure } else { &figure })
+}
+
+/// Writes a figure of several plots as the ending of the file name says. For one rank.
+pub fn write_panels(path: &Path, figure: &Panels) -> Result<(), OutputError> {
     save(path, || figure.to_svg(), || figure.to_png(WIDTH_PX)).map_err(|reason| OutputError::write(path, reason))
 }
 

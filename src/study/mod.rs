@@ -1,22 +1,32 @@
 //! Studies: packings of many sizes and seeds, made by groups of ranks, then averaged, fitted and drawn.
 //!
-//! `plan` says which packings there are, `schedule` who makes them, `record` what is kept of each and `store` where.
+//! `plan` says which packings there are, `schedule` who makes them, `record` what is kept of each and `store` where;
+//! `data` averages, `findings` fits, `figures` and `report` show, and `paper` is what it is compared with.
 
+pub mod data;
+pub mod figures;
+pub mod findings;
+pub mod paper;
 pub mod plan;
 mod progress;
 pub mod record;
+pub mod report;
 pub mod schedule;
 pub mod store;
 
 use crate::comm::Comm;
 use crate::failure::Failure;
 use crate::output::Folder;
+use crate::output::folder::write_whole;
+use crate::output::plot::panels;
+use crate::output::render::write_panels;
+use figures::NUMBERS;
 use plan::{Member, Plan};
 use progress::Progress;
 use record::Record;
 use schedule::{Claims, Job};
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use store::Store;
 
 /// Makes the packings that are missing in the folder of a study, gathers all of them and answers a summary of what
@@ -66,9 +76,43 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
             let kept = store.records.len();
             return Err(Failure::Other(reason).and(&format!("{kept} of {} packings are kept", members.len())));
         }
-        Ok(summary(plan, &store, directory).into_bytes())
+        let mut summary = summary(plan, &store, directory);
+        for path in draw(directory, &NUMBERS, true)? {
+            summary += &format!("{}\n", path.display());
+        }
+        Ok(summary.into_bytes())
     })?;
     Ok(String::from_utf8_lossy(&summary).into_owned())
+}
+
+/// Draws figures of the study in a folder, by their numbers in the paper, as SVG and PNG; with the report and the table of
+/// all fits if they are wanted too. Answers what was written. For one rank.
+pub fn draw(directory: &Path, numbers: &[u8], report: bool) -> Result<Vec<PathBuf>, Failure> {
+    let results = directory.join(store::RESULTS);
+    let ensembles = data::ensembles(&store::read(&results)?)?;
+    let mut written = vec![results];
+    if report {
+        let all = report::findings(&ensembles);
+        let canonical = directory.canonicalize().unwrap_or_else(|_| directory.to_owned());
+        let name = canonical.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let html = report::html(&name, env!("CARGO_PKG_VERSION"), &ensembles, &all, &[]);
+        for (file, text) in [("report.html", html), ("findings.csv", report::csv(&all))] {
+            let path = directory.join(file);
+            write_whole(&path, text.as_bytes())?;
+            written.push(path);
+        }
+    }
+    for &number in numbers {
+        let Some(figure) = figures::figure(number, &ensembles).filter(|figure| !figure.panels.is_empty()) else {
+            continue;
+        };
+        for ending in ["svg", "png"] {
+            let path = directory.join(format!("figure-{number}.{ending}"));
+            write_panels(&path, &panels(&figure.panels, figure.columns))?;
+            written.push(path);
+        }
+    }
+    Ok(written)
 }
 
 /// What there is of each group, and why packings failed.
