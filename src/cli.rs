@@ -89,7 +89,7 @@ pub enum Command {
     Plot {
         /// The folder of a study
         study: PathBuf,
-        /// A figure by its number in the paper: 3, 4, 5, 6, 7, 9 or 10
+        /// A figure by its number in the paper: 2, 3, 4, 5, 6, 7, 9 or 10
         #[arg(long, value_name = "N", group = "which", value_parser = figure_number)]
         figure: Option<u8>,
         /// All figures, the report (report.html) and every fit (findings.csv)

@@ -44,7 +44,8 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, speaks) }
         }
         Some(Command::Study { study, output, check, retry }) => {
-            let plan = Plan::parse(&read_text(&comm, study)?, &study.display().to_string())?;
+            let plan = Plan::parse(&read_text(&comm, study)?, &study.display().to_string())
+                .map_err(|e| Failure::Input(e.to_string()))?;
             if *check {
                 return print(&comm, &plan.summary());
             }

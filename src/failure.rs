@@ -5,7 +5,6 @@ use crate::exchange::ExchangeError;
 use crate::output::OutputError;
 use crate::protocol::ProtocolError;
 use crate::scene::SceneError;
-use crate::study::plan::PlanError;
 
 /// Exit codes; a panic ends with [`crate::comm::EXIT_PANIC`].
 pub mod exit {
@@ -90,12 +89,6 @@ impl From<OutputError> for Failure {
             OutputError::Read { .. } => Failure::Input(error.to_string()),
             OutputError::Write { .. } => Failure::Other(error.to_string()),
         }
-    }
-}
-
-impl From<PlanError> for Failure {
-    fn from(error: PlanError) -> Self {
-        Failure::Input(error.to_string())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::error::{OutputError, agree};
 use super::folder::write_whole;
-use super::picture::{Outline, Packing, PictureError};
+use super::picture::{Outline, Packing, PictureError, rasterise, side_by_side};
 use super::plot::{Axes, Panels, Series, panels};
 use super::rows::{to_blocks, whole};
 use crate::comm::Comm;
@@ -112,6 +112,12 @@ pub fn write_plot(path: &Path, series: &[(String, Vec<f64>)]) -> Result<(), Outp
 /// Writes a figure of several plots as the ending of the file name says. For one rank.
 pub fn write_panels(path: &Path, figure: &Panels) -> Result<(), OutputError> {
     save(path, || figure.to_svg(), || figure.to_png(WIDTH_PX)).map_err(|reason| OutputError::write(path, reason))
+}
+
+/// Writes SVG documents two by two as one picture. For one rank.
+pub fn write_row(path: &Path, svgs: &[&str]) -> Result<(), OutputError> {
+    let joined = side_by_side(svgs, 2).map_err(|e| OutputError::write(path, e))?;
+    save(path, || joined.clone(), || rasterise(&joined, WIDTH_PX)).map_err(|reason| OutputError::write(path, reason))
 }
 
 /// The panels of the plot of a run.

@@ -65,7 +65,7 @@ pub trait Sink {
     /// A sample of the system's present state; `density` is what the protocol set. Collective.
     fn append<M: Model>(
         &mut self,
-        system: &System<M>,
+        system: &mut System<M>,
         density: f64,
         sample: Sample,
         columns: &PerParticle,

@@ -93,7 +93,7 @@ impl Sink for Records {
 
     fn append<M: Model>(
         &mut self,
-        system: &System<M>,
+        system: &mut System<M>,
         density: f64,
         sample: Sample,
         columns: &PerParticle,

@@ -22,6 +22,14 @@ impl Curve {
         }
         inside
     }
+
+    /// The same points, x ascending, each counting as much as the stretch of x that it stands for: what points evenly
+    /// spaced in x and counting alike would be.
+    pub fn evenly(&self) -> Curve {
+        let n = self.x.len();
+        let stretch = |k: usize| 0.5 * (self.x[(k + 1).min(n - 1)] - self.x[k.saturating_sub(1)]);
+        Curve { error: (0..n).map(|k| 1.0 / stretch(k).sqrt()).collect(), ..self.clone() }
+    }
 }
 
 /// Amplitudes a_k of y = Σ a_k x^(e_k) by weighted linear least squares, and χ²; none with fewer points than exponents.
@@ -152,6 +160,20 @@ mod tests {
         points.y[3] *= 5.0;
         points.error[3] = 1e9;
         close(amplitudes(&points, &[1.0]).unwrap().0[0], 2.0, 1e-9);
+    }
+
+    #[test]
+    fn points_spaced_anyhow_count_as_if_evenly() {
+        // a straight line through a curve: by its integral over x, whatever the spacing
+        let y = |x: f64| x * x;
+        let slope = |x: Vec<f64>| {
+            let curve = Curve { y: x.iter().map(|&x| y(x)).collect(), error: vec![1.0; x.len()], x };
+            amplitudes(&curve.evenly(), &[1.0]).unwrap().0[0]
+        };
+        let even = slope((1..=4000).map(|k| k as f64 / 4000.0).collect());
+        let log = slope((0..=800).map(|k| 10f64.powf(-4.0 + k as f64 / 200.0)).collect());
+        close(even, 0.75, 1e-3);
+        close(log, 0.75, 1e-2);
     }
 
     #[test]

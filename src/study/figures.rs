@@ -1,15 +1,17 @@
 //! The paper's figures from a data set, each by its number there.
 
 use super::data::{Ensemble, Packing, Packings, Quantity};
-use super::findings::{WINDOW, of_ensemble, of_size, table_size};
+use super::findings::{of_ensemble, of_size, table_size, window};
 use super::paper;
 use crate::output::plot::{Axes, Series, Style};
 use crate::scene::Model;
 use crate::statistics::{mean, spread};
 use Quantity::*;
 
-/// Numbers of the figures that are plots of averages.
-pub const NUMBERS: [u8; 7] = [3, 4, 5, 6, 7, 9, 10];
+/// The figure that shows packings.
+pub const PACKINGS: u8 = 2;
+/// Numbers of all figures.
+pub const NUMBERS: [u8; 8] = [PACKINGS, 3, 4, 5, 6, 7, 9, 10];
 
 /// A figure: its panels, and how many stand side by side.
 pub struct Figure {
@@ -18,7 +20,8 @@ pub struct Figure {
     pub columns: usize,
 }
 
-/// A figure by its number in the paper; none if it is not one of [`NUMBERS`].
+/// A figure by its number in the paper; none if it is not one of [`NUMBERS`], or
+/// shows [`PACKINGS`].
 pub fn figure(number: u8, ensembles: &[Ensemble]) -> Option<Figure> {
     let (caption, panels, columns) = match number {
         3 => ("Packing fraction, particle area and shape above onset", density_and_shape(ensembles), 3),
@@ -144,7 +147,7 @@ fn against_density(ensembles: &[Ensemble]) -> Vec<Axes> {
         let own = if ensemble.model == Model::Sp { &mut modulus } else { &mut dp_modulus };
         own.series.push(data(name.clone(), packings, [Rho, ShearModulus], colour, 4));
         contacts.series.push(data(name.clone(), packings, [Rho, ContactNumber], colour, 4));
-        let reach = [onset, onset + WINDOW[1]];
+        let reach = [onset, onset + window(packings.n_particles)[1]];
         let row = paper::Row::of(ensemble.model);
         let two = |a: [f64; 2], x: f64| a[0] * (x - onset).max(0.0).sqrt() + a[1] * (x - onset);
         if let (Some(a), Some(b)) = (found.get("z_0", "Δz = z_0 Δρ^0.5 +"), found.get("z_1", "Δz = z_0 Δρ^0.5 +"))

@@ -19,8 +19,8 @@ use crate::failure::Failure;
 use crate::output::Folder;
 use crate::output::folder::write_whole;
 use crate::output::plot::panels;
-use crate::output::render::write_panels;
-use figures::NUMBERS;
+use crate::output::render::{write_panels, write_row};
+use figures::{NUMBERS, PACKINGS};
 use plan::{Member, Plan};
 use progress::Progress;
 use record::Record;
@@ -49,12 +49,13 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
     let worked = schedule::work(comm, &jobs, &Claims::in_folder(&claims), &mut |group, job| {
         let member = &members[job.member];
         let started = std::time::Instant::now();
-        let record = Record::make(group.duplicate(), member)?;
-        if let Some(reason) = &record.failure {
+        let made = Record::make(group.duplicate(), member)?;
+        if let Some(reason) = &made.record.failure {
             tracing::warn!(member = member.id(), reason, "failed");
         }
         group.from_root(|| {
-            store::keep(directory, &record)?;
+            store::keep_pictures(directory, &member.group.id(), &made.pictures)?;
+            store::keep(directory, &made.record)?;
             progress::note(directory, member, group.size(), started.elapsed())?;
             Ok::<_, Failure>(Vec::new())
         })?;
@@ -91,11 +92,12 @@ pub fn draw(directory: &Path, numbers: &[u8], report: bool) -> Result<Vec<PathBu
     let results = directory.join(store::RESULTS);
     let ensembles = data::ensembles(&store::read(&results)?)?;
     let mut written = vec![results];
+    let pictures = pictures(directory, &ensembles);
     if report {
         let all = report::findings(&ensembles);
         let canonical = directory.canonicalize().unwrap_or_else(|_| directory.to_owned());
         let name = canonical.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let html = report::html(&name, env!("CARGO_PKG_VERSION"), &ensembles, &all, &[]);
+        let html = report::html(&name, env!("CARGO_PKG_VERSION"), &ensembles, &all, &pictures);
         for (file, text) in [("report.html", html), ("findings.csv", report::csv(&all))] {
             let path = directory.join(file);
             write_whole(&path, text.as_bytes())?;
@@ -103,6 +105,14 @@ pub fn draw(directory: &Path, numbers: &[u8], report: bool) -> Result<Vec<PathBu
         }
     }
     for &number in numbers {
+        if number == PACKINGS && !pictures.is_empty() {
+            let all: Vec<&str> = pictures.iter().map(|(_, svg)| svg.as_str()).collect();
+            for ending in ["svg", "png"] {
+                let path = directory.join(format!("figure-{number}.{ending}"));
+                write_row(&path, &all)?;
+                written.push(path);
+            }
+        }
         let Some(figure) = figures::figure(number, &ensembles).filter(|figure| !figure.panels.is_empty()) else {
             continue;
         };
@@ -113,6 +123,27 @@ pub fn draw(directory: &Path, numbers: &[u8], report: bool) -> Result<Vec<PathBu
         }
     }
     Ok(written)
+}
+
+/// Pictures with captions: of each ensemble one size, 64 if it is there, at the densities of figures 2 and 7.
+fn pictures(directory: &Path, ensembles: &[data::Ensemble]) -> Vec<(String, String)> {
+    let mut found = Vec::new();
+    for density in record::DRAWN {
+        for ensemble in ensembles {
+            let of = |s: &data::Packings| {
+                let path = store::picture_file(directory, &format!("{}-N{}", s.ensemble, s.n_particles), density);
+                Some((s.n_particles, std::fs::read_to_string(path).ok()?))
+            };
+            let drawn: Vec<(usize, String)> = ensemble.sizes.iter().filter_map(of).collect();
+            let wanted = drawn.iter().find(|(n, _)| *n == 64).or(drawn.last());
+            if let Some((n, svg)) = wanted {
+                let caption =
+                    format!("{}, N = {n}: the first sample above ρ = {density}", ensemble.name.to_uppercase());
+                found.push((caption, svg.clone()));
+            }
+        }
+    }
+    found
 }
 
 /// What there is of each group, and why packings failed.

@@ -10,8 +10,8 @@ use crate::observe::{PerParticle, Sample};
 use crate::protocol::Onset;
 use crate::run::progress::Progress;
 use crate::run::records::scalars;
-use crate::run::{Sink, Task, protocol, with_system};
-use crate::scene::Scene;
+use crate::run::{Sink, Task, drawing, protocol, with_system};
+use crate::scene::{ColorBy, Scene};
 use serde::{Deserialize, Serialize};
 
 /// A packing as files hold it: the same bits whatever group of ranks made it.
@@ -31,24 +31,41 @@ pub struct Record {
     pub failure: Option<String>,
 }
 
+/// A packing just made, with pictures of it on rank 0: densities and SVG documents.
+#[derive(Default)]
+pub struct Made {
+    pub record: Record,
+    pub pictures: Vec<(f64, String)>,
+    /// Densities that are still to be drawn.
+    to_draw: Vec<f64>,
+}
+
+/// Packing fractions at which the first packing of a group is drawn, as in the paper's figures 2 and 7.
+pub const DRAWN: [f64; 2] = [0.92, 0.97];
+/// Larger packings are not drawn.
+const LARGEST_DRAWN: usize = 256;
+
 impl Record {
     /// Makes a packing. What belongs to this packing alone, no convergence or no onset, is a failure inside the record;
     /// an error is something that would befall all of them. Collective.
-    pub fn make(comm: Comm, member: &Member) -> Result<Record, Failure> {
+    pub fn make(comm: Comm, member: &Member) -> Result<Made, Failure> {
         let scene = member.scene();
-        let mut record = Record {
+        let is_drawn = member.seed == member.group.seeds.start && scene.n_particles <= LARGEST_DRAWN;
+        let to_draw = if is_drawn { DRAWN.to_vec() } else { Vec::new() };
+        let record = Record {
             ensemble: member.group.ensemble.clone(),
             n_particles: scene.n_particles as u64,
             seed: member.seed,
             scene: scene_text(&scene),
             ..Record::default()
         };
-        match with_system(comm, &scene, Make { scene: &scene, record: &mut record }) {
+        let mut made = Made { record, to_draw, ..Made::default() };
+        match with_system(comm, &scene, Make { scene: &scene, made: &mut made }) {
             Ok(()) => {}
-            Err(Failure::NotConverged(reason) | Failure::Other(reason)) => record.failure = Some(reason),
+            Err(Failure::NotConverged(reason) | Failure::Other(reason)) => made.record.failure = Some(reason),
             Err(Failure::Input(reason)) => return Err(Failure::Input(format!("{}: {reason}", member.id()))),
         }
-        Ok(record)
+        Ok(made)
     }
 
     pub fn id(&self) -> String {
@@ -77,33 +94,40 @@ mod numbers {
 
 struct Make<'a> {
     scene: &'a Scene,
-    record: &'a mut Record,
+    made: &'a mut Made,
 }
 
 impl Task for Make<'_> {
     fn act<M: Model>(self, mut system: System<M>, minimizer: &impl Minimizer) -> Result<(), Failure> {
-        protocol(&mut system, minimizer, self.scene, self.record, &mut Progress::new(false))
+        protocol(&mut system, minimizer, self.scene, self.made, &mut Progress::new(false))
     }
 }
 
-impl Sink for Record {
+impl Sink for Made {
     fn set_onset(&mut self, onset: Onset) {
-        self.onset = Some([onset.density, onset.unjammed, onset.pressure, onset.steps as f64]);
+        self.record.onset = Some([onset.density, onset.unjammed, onset.pressure, onset.steps as f64]);
     }
 
     fn append<M: Model>(
         &mut self,
-        _: &System<M>,
+        system: &mut System<M>,
         density: f64,
         sample: Sample,
-        _: &PerParticle,
+        columns: &PerParticle,
     ) -> Result<(), Failure> {
         let row = scalars(density, &sample);
-        if self.samples.is_empty() {
-            self.samples = row.iter().map(|(name, _)| (name.to_string(), Vec::new())).collect();
+        let samples = &mut self.record.samples;
+        if samples.is_empty() {
+            *samples = row.iter().map(|(name, _)| (name.to_string(), Vec::new())).collect();
         }
-        for ((_, values), (_, value)) in self.samples.iter_mut().zip(row) {
+        for ((_, values), (_, value)) in samples.iter_mut().zip(row) {
             values.push(value);
+        }
+        while let Some(&next) = self.to_draw.first().filter(|&&next| sample.density.packing_fraction >= next) {
+            self.to_draw.remove(0);
+            if let Some(picture) = drawing::svg(system, &sample, columns, ColorBy::Z)? {
+                self.pictures.push((next, picture));
+            }
         }
         Ok(())
     }

@@ -4,6 +4,7 @@ use super::data::{Ensemble, Packings};
 use super::figures::{self, NUMBERS};
 use super::findings::{Finding, Findings, of_ensemble, of_size, table_size};
 use super::paper::{self, Row};
+use crate::output::picture::with_names;
 use crate::output::plot::panels;
 use crate::scene::Model;
 use crate::statistics::Estimate;
@@ -49,7 +50,8 @@ pub fn html(
         let _ = write!(body, "<h2>{table}</h2>\n{}", paper_table(ensembles, all, symbol, law, pick));
     }
     for (caption, svg) in pictures {
-        let _ = writeln!(body, "<figure>{}<figcaption>{}</figcaption></figure>", unique(svg, caption), escape(caption));
+        let _ =
+            writeln!(body, "<figure>{}<figcaption>{}</figcaption></figure>", with_names(svg, caption), escape(caption));
     }
     for number in NUMBERS {
         let Some(figure) = figures::figure(number, ensembles).filter(|f| !f.panels.is_empty()) else { continue };
@@ -59,7 +61,7 @@ pub fn html(
         let _ = writeln!(
             body,
             "<figure>{}<figcaption>As the paper's figure {number}: {caption}.</figcaption></figure>",
-            unique(&svg, &key)
+            with_names(&svg, &key)
         );
     }
     body += "<h2>All numbers</h2>\n";
@@ -186,10 +188,4 @@ pub fn plus_minus(e: &Estimate) -> String {
 
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
-}
-
-/// Names inside an SVG document are global to a page: each gets one of its own.
-fn unique(svg: &str, key: &str) -> String {
-    let key: String = key.chars().filter(char::is_ascii_alphanumeric).collect();
-    svg.replace("id=\"", &format!("id=\"{key}-")).replace("url(#", &format!("url(#{key}-"))
 }

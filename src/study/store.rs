@@ -23,6 +23,7 @@ use std::path::{Path, PathBuf};
 /// Name of the results file in the folder of a study.
 pub const RESULTS: &str = "study.h5";
 const MEMBERS: &str = "members";
+const PICTURES: &str = "pictures";
 const ONSET: [&str; 4] = ["onset_density", "unjammed_density", "onset_pressure", "onset_steps"];
 
 /// Records of a study, those of its plan in the order of the plan.
@@ -33,6 +34,19 @@ pub struct Store {
 
 fn member_file(folder: &Path, id: &str) -> PathBuf {
     folder.join(MEMBERS).join(format!("{id}.json"))
+}
+
+/// Where the picture of a packing at a density is.
+pub fn picture_file(folder: &Path, group: &str, density: f64) -> PathBuf {
+    folder.join(PICTURES).join(format!("{group}-{density}.svg"))
+}
+
+/// Writes pictures of a packing, before its record. For one rank.
+pub fn keep_pictures(folder: &Path, group: &str, pictures: &[(f64, String)]) -> Result<(), Failure> {
+    for (density, picture) in pictures {
+        write_whole(&picture_file(folder, group, *density), picture.as_bytes())?;
+    }
+    Ok(())
 }
 
 /// Writes the record of a finished packing. For one rank.
@@ -58,7 +72,7 @@ fn is_record(entry: &std::fs::DirEntry) -> bool {
 pub fn gather(folder: &Path, plan: &Plan, retry: bool) -> Result<Store, Failure> {
     let members = folder.join(MEMBERS);
     let fail = |e: std::io::Error| Failure::Other(format!("cannot use {}: {}", members.display(), explain(&e)));
-    std::fs::create_dir_all(&members).map_err(fail)?;
+    std::fs::create_dir_all(&members).and_then(|()| std::fs::create_dir_all(folder.join(PICTURES))).map_err(fail)?;
     let results = folder.join(RESULTS);
     let mut found: BTreeMap<String, Record> = BTreeMap::new();
     if results.exists() {
