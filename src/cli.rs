@@ -6,6 +6,7 @@ use crate::comm::Comm;
 use crate::exchange::Extra;
 use crate::failure::exit;
 use crate::scene::{ColorBy, Method};
+use crate::study::figures::NUMBERS;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 use tracing_subscriber::EnvFilter;
@@ -70,6 +71,32 @@ pub enum Command {
         /// Only validate: print the whole scene, defaults included, and stop
         #[arg(long, visible_alias = "dry-run")]
         check: bool,
+    },
+    /// Make the packings of a study that are still missing, then its report, tables and figures
+    Study {
+        /// The study, a TOML file
+        study: PathBuf,
+        /// Folder of the results, made if absent; named after the study if not given
+        #[arg(short, long, value_name = "DIR")]
+        output: Option<PathBuf>,
+        /// Only validate: print which packings are asked for, and stop
+        #[arg(long, visible_alias = "dry-run")]
+        check: bool,
+        /// Try packings again that did not converge before
+        #[arg(long)]
+        retry: bool,
+    },
+    /// Draw the figures of a study, as SVG and PNG into its folder
+    #[command(group = clap::ArgGroup::new("which").required(true))]
+    Plot {
+        /// The folder of a study
+        study: PathBuf,
+        /// A figure by its number in the paper: 2, 3, 4, 5, 6, 7, 9 or 10
+        #[arg(long, value_name = "N", group = "which", value_parser = figure_number)]
+        figure: Option<u8>,
+        /// All figures, the report (report.html) and every fit (findings.csv)
+        #[arg(long, group = "which")]
+        all: bool,
     },
     /// Energy, forces, stress and observables of a configuration, as JSON
     Evaluate {
@@ -158,7 +185,7 @@ pub enum Command {
     },
     /// Print a commented scene with every key, to start from
     Init {
-        /// Soft disks (sp) or deformable particles (dp)
+        /// A scene of soft disks (sp) or of deformable particles (dp), or a study of many packings
         #[arg(value_enum, default_value_t = Starter::Dp)]
         model: Starter,
         /// Write it to this file, which must not exist yet
@@ -200,6 +227,7 @@ pub struct Settings {
 pub enum Starter {
     Sp,
     Dp,
+    Study,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -260,6 +288,11 @@ fn positive(text: &str) -> Result<f64, String> {
         Ok(x) if x > 0.0 && x.is_finite() => Ok(x),
         _ => Err("give a number above 0, such as 1e-9".into()),
     }
+}
+
+fn figure_number(text: &str) -> Result<u8, String> {
+    let number = text.parse::<u8>().ok().filter(|number| NUMBERS.contains(number));
+    number.ok_or_else(|| format!("give one of {}", NUMBERS.map(|n| n.to_string()).join(", ")))
 }
 
 /// The filter's own `FromStr` passes over what it does not understand.

@@ -11,6 +11,7 @@ use crate::output::folder::write_whole;
 use crate::output::info;
 use crate::run;
 use crate::scene::{self, Method, Scene};
+use crate::study::{self, figures::NUMBERS, plan::Plan};
 use crate::validate::{self, Effort};
 use std::path::Path;
 
@@ -41,6 +42,25 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
         Some(Command::Run { scene, options, check }) => {
             let scene = read_scene(&comm, Some(scene), options)?;
             if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, options.resume, speaks) }
+        }
+        Some(Command::Study { study, output, check, retry }) => {
+            let plan = Plan::parse(&read_text(&comm, study)?, &study.display().to_string())
+                .map_err(|e| Failure::Input(e.to_string()))?;
+            if *check {
+                return print(&comm, &plan.summary());
+            }
+            let folder = output.clone().unwrap_or_else(|| study.file_stem().map_or_else(Default::default, Into::into));
+            let summary = study::run(&comm, &plan, &folder, *retry, speaks)?;
+            print(&comm, &summary)
+        }
+        Some(Command::Plot { study, figure, all }) => {
+            let numbers = figure.as_ref().map_or(&NUMBERS[..], std::slice::from_ref);
+            let list = comm.from_root(|| {
+                let written = study::draw(study, numbers, *all)?;
+                let lines: String = written.iter().skip(1).map(|path| format!("{}\n", path.display())).collect();
+                Ok::<_, Failure>(lines.into_bytes())
+            })?;
+            print(&comm, &String::from_utf8_lossy(&list))
         }
         Some(Command::Evaluate { file, frame, with, output }) => {
             let text = read_configuration(&comm, file, *frame)?;
@@ -96,6 +116,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let text = match model {
                 Starter::Sp => scene::SP_STARTER,
                 Starter::Dp => scene::DP_STARTER,
+                Starter::Study => study::plan::STARTER,
             };
             match output {
                 None => print(&comm, text),

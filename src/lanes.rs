@@ -86,8 +86,6 @@ pub trait Lanes: Copy {
     fn bits(self, mask: Self::Mask) -> u8;
     /// x where 0 < a < b, else +0.
     fn where_between(self, a: Self::Real, b: Self::Real, x: Self::Real) -> Self::Real;
-    /// Bit k tells whether a < b in lane k.
-    fn less(self, a: Self::Real, b: Self::Real) -> u8;
     /// Wrapping difference a − b, to the nearest f64.
     fn difference(self, a: Self::Raw, b: Self::Raw) -> Self::Real;
     fn real(self, a: Self::Raw) -> Self::Real;
@@ -234,11 +232,6 @@ impl Lanes for Arrays {
     #[inline(always)]
     fn where_between(self, a: Self::Real, b: Self::Real, x: Self::Real) -> Self::Real {
         std::array::from_fn(|k| if (0.0 < a[k]) & (a[k] < b[k]) { x[k] } else { 0.0 })
-    }
-
-    #[inline(always)]
-    fn less(self, a: Self::Real, b: Self::Real) -> u8 {
-        (0..LANES).map(|k| u8::from(a[k] < b[k]) << k).fold(0, |bits, bit| bits | bit)
     }
 
     #[inline(always)]
@@ -462,11 +455,6 @@ mod avx512 {
         }
 
         #[inline(always)]
-        fn less(self, a: __m512d, b: __m512d) -> u8 {
-            unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b) }
-        }
-
-        #[inline(always)]
         fn difference(self, a: __m512i, b: __m512i) -> __m512d {
             unsafe { _mm512_cvtepi64_pd(_mm512_sub_epi64(a, b)) }
         }
@@ -682,7 +670,7 @@ mod tests {
             ];
             let mut bits: Vec<u64> =
                 pairs.into_iter().flat_map(|(x, y)| l.vectors(x, y)).flatten().map(f64::to_bits).collect();
-            bits.extend([l.less(a, b), l.less(b, a), l.less(a, a)].map(u64::from));
+            bits.extend([l.less(a, b), l.less(b, a), l.less(a, a)].map(|mask| u64::from(l.bits(mask))));
             bits
         }
     }

@@ -20,6 +20,8 @@ pub mod particles;
 pub mod protocol;
 pub mod run;
 pub mod scene;
+pub mod statistics;
 pub mod stiffness;
+pub mod study;
 pub mod threads;
 pub mod validate;

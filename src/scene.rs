@@ -383,7 +383,20 @@ impl Compression {
     }
 }
 
+/// Deformable particles are not compressed further; the greatest `compression.until` that they accept.
+const DENSEST_DP: f64 = 0.999;
+
 impl Scene {
+    /// Packing fractions at which to sample a packing that jams at `onset`. Deformable particles cannot cover more than
+    /// the box: distances above onset that ask for it are left out.
+    pub fn samples(&self, onset: f64) -> Vec<f64> {
+        let mut densities = self.compression.samples(onset);
+        if self.model() == Model::Dp {
+            densities.retain(|&density| density <= DENSEST_DP);
+        }
+        densities
+    }
+
     /// Reads and checks a scene. `origin` is the file's name in messages; `overrides` are `path.to.key=value` with TOML
     /// values (bare words are strings) and win over the text.
     pub fn parse(text: &str, origin: &str, overrides: &[String]) -> Result<Scene, SceneError> {
@@ -490,7 +503,7 @@ const KEYS: &[Key] = &[
     dp("onset.pressure", List(&Float(1e-14, 0.1), 2, 2), "[1e-6, 1e-4]"),
     both("compression.increments", List(&Float(1e-9, 1.0), 1, 10_000), ""),
     sp("compression.until", Float(0.5, 2.0), "1.0"),
-    dp("compression.until", Float(0.5, 0.999), "0.95"),
+    dp("compression.until", Float(0.5, DENSEST_DP), "0.95"),
     both("compression.step", Float(1e-6, 0.2), "0.01"),
     both("compression.log.from", Float(1e-9, 1.0), "1e-4"),
     both("compression.log.to", Float(1e-9, 1.0), "0.1"),
@@ -1061,7 +1074,10 @@ mod tests {
         let scene = parse("model = 'dp'").unwrap();
         assert_eq!((scene.model(), scene.n_particles, scene.seed), (Model::Dp, 64, 1));
         assert_eq!(scene.compression, Compression::Until { until: 0.95, step: 0.01 });
-        assert_eq!(scene.minimize, Minimize { method: Method::Newton, force_tolerance: 1e-9, max_iterations: 1_000_000 });
+        assert_eq!(
+            scene.minimize,
+            Minimize { method: Method::Newton, force_tolerance: 1e-9, max_iterations: 1_000_000 }
+        );
         let Physics::Dp(dp) = scene.physics else { panic!() };
         assert_eq!(dp.particles, DpParticles { n_vertices: vec![12, 17], fractions: vec![0.5, 0.5] });
         let expected = DpPotential {

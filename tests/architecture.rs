@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 /// Room, and the rooms it may use. Every room (folder or file of `src/`) stands here.
 const MAY_USE: &[(&str, &[&str])] = &[
     ("geometry", &[]),
+    ("statistics", &[]),
     ("lanes", &["geometry"]),
     ("threads", &[]),
     ("particles", &["geometry", "threads"]),
@@ -21,12 +22,12 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("protocol", &["geometry", "particles", "model", "comm", "engine", "minimize"]),
     ("observe", &["geometry", "particles", "threads", "neighbor", "model", "comm", "engine", "stiffness", "minimize"]),
     ("validate", &["geometry", "particles", "model", "comm", "engine", "minimize", "protocol", "observe"]),
-    ("study", &["geometry", "model", "comm", "engine", "minimize", "protocol", "observe"]),
     ("output", &["geometry", "particles", "comm", "observe"]),
     ("exchange", &["geometry", "particles", "model", "comm", "engine", "minimize", "protocol", "observe"]),
     ("scene", &[]),
     // the edge, where everything is put together
     ("failure", &["engine", "exchange", "output", "protocol", "scene"]),
+    ("study", ANY),
     ("run", ANY),
     ("frames", ANY),
     ("analysis", ANY),

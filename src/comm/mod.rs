@@ -13,7 +13,7 @@ pub use reduction::{EXTREMES, FusedSums, Sums, Totals};
 use crate::threads;
 use mpi::collective::UnsafeUserOperation;
 use mpi::point_to_point::{Destination, Source};
-use mpi::topology::{Communicator, SimpleCommunicator};
+use mpi::topology::{Color, Communicator, SimpleCommunicator};
 use mpi::traits::{AsRaw, CommunicatorCollectives, Root};
 
 /// MPI, from initialisation to finalisation. Without `mpirun` this is one rank.
@@ -73,9 +73,15 @@ impl Comm {
         Comm { group: Some(group), fold, rank, size }
     }
 
-    /// Another communicator of the same ranks, for a second system. Collective.
+    /// The same ranks with messages of their own. Collective.
     pub fn duplicate(&self) -> Self {
-        self.group.as_ref().map_or_else(Comm::alone, |group| Comm::over(group.duplicate()))
+        self.peers().map_or_else(Comm::alone, |group| Comm::over(group.duplicate()))
+    }
+
+    /// The ranks that name the same `color`, in their present order. Collective.
+    pub fn split(&self, color: u32) -> Self {
+        let part = self.peers().and_then(|group| group.split_by_color(Color::with_value(color as i32)));
+        part.map_or_else(Comm::alone, Comm::over)
     }
 
     pub fn rank(&self) -> usize {

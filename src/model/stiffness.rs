@@ -89,7 +89,10 @@ impl TouchStiffness {
         }
         let (side, along) = match touch.slide {
             Slide::None => {
-                return TouchStiffness { a: scaled(sign, of_separation(law, s, d, prestress)), ..TouchStiffness::nothing() };
+                return TouchStiffness {
+                    a: scaled(sign, of_separation(law, s, d, prestress)),
+                    ..TouchStiffness::nothing()
+                };
             }
             Slide::Ours(along) => (-1.0, along),
             Slide::Theirs(along) => (1.0, along),

@@ -85,7 +85,7 @@ impl Kernel for Search<'_> {
                 let (across, up) = (l.difference(x, other_x), l.difference(y, other_y));
                 let (dx, dy) = (l.add(l.mul(across, unit_x), l.mul(up, tilt)), l.mul(up, unit_y));
                 let reach = l.add(l.mul(half, l.add(own_size, l.numbers(size, &at))), skin);
-                let mut near = l.less(l.add(l.mul(dx, dx), l.mul(dy, dy)), l.mul(reach, reach));
+                let mut near = l.bits(l.less(l.add(l.mul(dx, dx), l.mul(dy, dy)), l.mul(reach, reach)));
                 while near != 0 {
                     let j = at[near.trailing_zeros() as usize];
                     near &= near - 1;

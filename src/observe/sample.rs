@@ -20,6 +20,8 @@ pub struct Sample {
     pub voids: VoidStatistics,
     /// Means over all particles; the three are equal for disks.
     pub shape_parameter: ShapeParameter,
+    /// Mean area of a particle: of its polygon, or of the cut disk.
+    pub mean_area: f64,
     /// Root mean square of a/a₀ − 1 over deformable particles; 1 − Σa/Σa₀ of disks, the part of their areas lost in
     /// overlaps.
     pub area_deviation: f64,
@@ -86,6 +88,7 @@ impl Sample {
         let shapes: Vec<Shape> = system.outlines()?.iter().map(Shape::of).collect();
         let terms = system.terms()?;
         let density = PackingFraction::of(system, &shapes)?;
+        let [mean_area, area_deviation] = areas(system, &shapes, contacts.n_particles);
         let sample = Sample {
             density,
             voids: Voids::of(system, &[], Some(density.packing_fraction))?.statistics,
@@ -95,7 +98,8 @@ impl Sample {
             n_rattlers: contacts.n_rattlers,
             contact_number: contacts.contact_number(),
             shape_parameter: mean_shape_parameter(system, &shapes),
-            area_deviation: area_deviation(system, &shapes, contacts.n_particles),
+            mean_area,
+            area_deviation,
             max_force: report.max_force,
             iterations: report.iterations,
             force_evaluations: report.force_evaluations,
@@ -154,6 +158,7 @@ impl Sample {
             ("shape_parameter_polygon", self.shape_parameter.polygon),
             ("shape_parameter_relative", self.shape_parameter.relative),
             ("shape_parameter_shell", self.shape_parameter.shell),
+            ("mean_area", self.mean_area),
             ("area_deviation", self.area_deviation),
             ("max_force", self.max_force),
             ("iterations", self.iterations as f64),
@@ -189,12 +194,14 @@ fn mean_shape_parameter<M: Model>(system: &System<M>, shapes: &[Shape]) -> Shape
     ShapeParameter { polygon: mean(polygon), relative: mean(relative), shell: mean(shell) }
 }
 
-fn area_deviation<M: Model>(system: &System<M>, shapes: &[Shape], n_particles: u64) -> f64 {
+/// Mean area, and the deviation of areas from those at rest.
+fn areas<M: Model>(system: &System<M>, shapes: &[Shape], n_particles: u64) -> [f64; 2] {
     let excess = |s: &Shape| s.area / s.rest_area - 1.0;
     let row = |s: &Shape| [s.area, s.rest_area, excess(s).powi(2)];
     let [area, rest, squares] = system.comm.sum_terms(shapes.len(), |p| row(&shapes[p]));
-    match system.model.bodies() {
+    let deviation = match system.model.bodies() {
         crate::particles::Bodies::Disks => 1.0 - area / rest,
         crate::particles::Bodies::Polygons { .. } => (squares / n_particles as f64).sqrt(),
-    }
+    };
+    [area / n_particles as f64, deviation]
 }

@@ -96,6 +96,10 @@ impl VoidStatistics {
     }
 }
 
+/// How well voids must fill what particles leave of the box. Where two circles touch with an overlap of δ, the angle at
+/// which they meet is rounded to 10⁻¹⁶/√δ, which is 10⁻¹² at an onset; a void missed is larger than this by far.
+const ROUNDING: f64 = 1e-9;
+
 /// The voids of a state: connected parts of what the union of all particles (with their shells) leaves of the box.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Voids {
@@ -143,7 +147,7 @@ impl Voids {
         let area = system.pbox().area();
         let found = (statistics.area + statistics.sliver_area) / area;
         let left = packing_fraction.map_or(found, |rho| 1.0 - rho);
-        if !is_linked || (found - left).abs() > 1e-12 {
+        if !is_linked || (found - left).abs() > ROUNDING {
             return Err(EngineError::Voids { found, left });
         }
         voids.retain(|void| !void.is_sliver());

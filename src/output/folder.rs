@@ -59,7 +59,7 @@ fn hold(path: &Path) -> Result<Option<File>, String> {
 }
 
 /// An operating system error with what to do about it.
-pub(super) fn explain(error: &std::io::Error) -> String {
+pub fn explain(error: &std::io::Error) -> String {
     let advice = match error.kind() {
         ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "choose a folder that you may write to",
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space or choose another file system",

@@ -1,4 +1,4 @@
-//! What a run leaves behind: one results file (H5MD), pictures and plots; checkpoints on the way.
+//! What a run or a study leaves behind: one results file, pictures and plots; checkpoints on the way.
 
 mod checkpoint;
 mod error;
@@ -10,6 +10,7 @@ pub mod plot;
 pub mod read;
 pub mod render;
 mod rows;
+pub mod tables;
 
 pub use checkpoint::{Record, read_records, write_records};
 pub use error::OutputError;

@@ -809,6 +809,31 @@ pub(super) fn document(width: f64, height: f64, border: f64, body: &str) -> Stri
     )
 }
 
+/// The document with `key` in front of all names inside it: names are global to the page or document that holds it.
+pub fn with_names(svg: &str, key: &str) -> String {
+    let key: String = key.chars().filter(char::is_ascii_alphanumeric).collect();
+    svg.replace(" id=\"", &format!(" id=\"n{key}-")).replace("url(#", &format!("url(#n{key}-"))
+}
+
+/// Several documents side by side in rows of `columns`, all of them as wide as the widest.
+pub(super) fn side_by_side(svgs: &[&str], columns: usize) -> Result<String, PictureError> {
+    let mut sizes = Vec::new();
+    for svg in svgs {
+        let size = parse(svg)?.size();
+        sizes.push([f64::from(size.width()), f64::from(size.height())]);
+    }
+    let columns = columns.clamp(1, svgs.len().max(1));
+    let cell = sizes.iter().fold([0.0; 2], |most: [f64; 2], s| [most[0].max(s[0]), most[1].max(s[1])]);
+    let mut body = String::new();
+    for (k, svg) in svgs.iter().enumerate() {
+        let at = [(k % columns) as f64 * cell[0], (k / columns) as f64 * cell[1]];
+        let place = format!("<svg x=\"{}\" y=\"{}\" xmlns=", num(at[0]), num(at[1]));
+        body += &with_names(svg, &k.to_string()).replacen("<svg xmlns=", &place, 1);
+    }
+    let rows = svgs.len().div_ceil(columns);
+    Ok(document(columns as f64 * cell[0], rows as f64 * cell[1], 0.0, &body))
+}
+
 /// A line of text with its baseline at `at`; `anchor` is `start`, `middle` or `end`.
 pub(super) fn text(at: Point, anchor: &str, size: f64, content: &str) -> String {
     text_element(at, anchor, size, "", content)
@@ -945,6 +970,20 @@ pub(super) fn rasterise(svg: &str, width_px: u32) -> Result<Vec<u8>, PictureErro
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn documents_stand_side_by_side() {
+        let square = |name: &str| document(10.0, 10.0, 0.0, &format!("<rect id=\"a\"/><use href=\"{name}\"/>"));
+        let (a, b) = (square("one"), square("two"));
+        let row = side_by_side(&[&a, &b, &a], 2).unwrap();
+        let whole = usvg::roxmltree::Document::parse(&row).unwrap();
+        assert_eq!(whole.root_element().attribute("width"), Some("20"));
+        assert_eq!(whole.root_element().attribute("height"), Some("20"));
+        assert!(row.contains("<svg x=\"10\" y=\"0\"") && row.contains("<svg x=\"0\" y=\"10\""));
+        let names: Vec<&str> = whole.descendants().filter_map(|n| n.attribute("id")).collect();
+        assert_eq!(names, ["n0-a", "n1-a", "n2-a"]);
+        rasterise(&row, 40).unwrap();
+    }
 
     const SQUARE: [Point; 2] = [[10.0, 0.0], [0.0, 10.0]];
 

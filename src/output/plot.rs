@@ -43,6 +43,19 @@ pub struct Series {
     pub error: Option<Vec<f64>>,
     /// Whether the points are joined by a line; otherwise they are drawn as markers.
     pub line: bool,
+    /// How it looks; by its place among the series if this does not say.
+    pub style: Option<Style>,
+}
+
+/// The look of a series. Numbers beyond the last one start again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Style {
+    /// One of seven colours.
+    pub colour: usize,
+    /// Disk, square, triangle, diamond, inverted triangle; a bare line has none.
+    pub marker: Option<usize>,
+    /// Full, dashed or dotted line.
+    pub dash: usize,
 }
 
 /// One set of axes with its data.
@@ -143,7 +156,9 @@ impl<'a> Plot<'a> {
         let bars = (axes.series.iter())
             .flat_map(|s| s.points.iter().zip(s.error.iter().flatten()))
             .filter(|(p, _)| visible(p))
-            .flat_map(|(p, e)| [p[1] - e.abs(), p[1] + e.abs()]);
+            // an error as large as the value would stretch a logarithmic axis without end
+            .map(|(p, e)| [p[1] - e.abs(), p[1] + e.abs(), 0.3 * p[1]])
+            .flat_map(|[low, high, least]| [if axes.log_y { low.max(least) } else { low }, high]);
         let x = Axis::around(points().map(|p| p[0]), axes.log_x);
         let y = Axis::around(points().map(|p| p[1]).chain(bars), axes.log_y);
         let (x_ticks, y_ticks) = (horizontal_ticks(&x), y.ticks(6.0));
@@ -286,7 +301,7 @@ struct Sketch {
     line: bool,
     /// Half the size of the markers, `None` for a bare line.
     marker: Option<f64>,
-    index: usize,
+    style: Style,
 }
 
 impl Sketch {
@@ -305,14 +320,19 @@ impl Sketch {
             .collect();
         let count: usize = runs.iter().map(Vec::len).sum();
         // An isolated point has no line to show it.
-        let bare =
-            series.line && count > MAX_POINTS_WITH_MARKERS && bars.is_empty() && runs.iter().all(|run| run.len() > 1);
+        let plain = Style { colour: index, marker: Some(index), dash: index / COLOURS.len() };
+        let style = series.style.unwrap_or(plain);
+        let bare = style.marker.is_none()
+            || series.line
+                && count > MAX_POINTS_WITH_MARKERS
+                && bars.is_empty()
+                && runs.iter().all(|run| run.len() > 1);
         let marker = (!bare).then_some(if count > 300 { 2.2 } else { 4.0 });
-        Sketch { runs, bars, name: series.name.trim().to_owned(), line: series.line, marker, index }
+        Sketch { runs, bars, name: series.name.trim().to_owned(), line: series.line, marker, style }
     }
 
     fn colour(&self) -> &'static str {
-        COLOURS[self.index % COLOURS.len()]
+        COLOURS[self.style.colour % COLOURS.len()]
     }
 
     fn draw(&self) -> String {
@@ -345,7 +365,7 @@ impl Sketch {
         if path.is_empty() {
             return String::new();
         }
-        let dash = DASHES[self.index / COLOURS.len() % DASHES.len()];
+        let dash = DASHES[self.style.dash % DASHES.len()];
         format!(
             "<path d=\"{path}\" fill=\"none\" stroke=\"{}\" stroke-width=\"1.9\" stroke-linejoin=\"round\" stroke-dasharray=\"{}\"/>\n",
             self.colour(),
@@ -357,7 +377,7 @@ impl Sketch {
         let Some(size) = self.marker else {
             return String::new();
         };
-        let shape = marker_path(self.index, size);
+        let shape = marker_path(self.style.marker.unwrap_or(0), size);
         let mut seen = BTreeSet::new();
         let mut path = String::new();
         for p in points {
@@ -728,7 +748,7 @@ mod tests {
     use super::*;
 
     fn series(points: &[Point]) -> Series {
-        Series { name: "data".to_owned(), points: points.to_vec(), error: None, line: false }
+        Series { name: "data".to_owned(), points: points.to_vec(), ..Series::default() }
     }
 
     fn axes(series: Vec<Series>) -> Axes {

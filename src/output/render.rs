@@ -2,8 +2,8 @@
 
 use super::error::{OutputError, agree};
 use super::folder::write_whole;
-use super::picture::{Outline, Packing, PictureError};
-use super::plot::{Axes, Series, panels};
+use super::picture::{Outline, Packing, PictureError, rasterise, side_by_side};
+use super::plot::{Axes, Panels, Series, panels};
 use super::rows::{to_blocks, whole};
 use crate::comm::Comm;
 use crate::geometry::{PeriodicBox, add};
@@ -105,8 +105,19 @@ pub fn write_plot(path: &Path, series: &[(String, Vec<f64>)]) -> Result<(), Outp
     let axes = run_axes(series);
     let figure = panels(&axes, 2);
     let plain = [Axes { x_label: "density".to_owned(), ..Axes::default() }];
-    let figure = if axes.is_empty() { panels(&plain, 1) } else { figure };
+    let plain_figure = panels(&plain, 1);
+    write_panels(path, if axes.is_empty() { &plain_figure } else { &figure })
+}
+
+/// Writes a figure of several plots as the ending of the file name says. For one rank.
+pub fn write_panels(path: &Path, figure: &Panels) -> Result<(), OutputError> {
     save(path, || figure.to_svg(), || figure.to_png(WIDTH_PX)).map_err(|reason| OutputError::write(path, reason))
+}
+
+/// Writes SVG documents two by two as one picture. For one rank.
+pub fn write_row(path: &Path, svgs: &[&str]) -> Result<(), OutputError> {
+    let joined = side_by_side(svgs, 2).map_err(|e| OutputError::write(path, e))?;
+    save(path, || joined.clone(), || rasterise(&joined, WIDTH_PX)).map_err(|reason| OutputError::write(path, reason))
 }
 
 /// The panels of the plot of a run.

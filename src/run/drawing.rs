@@ -4,7 +4,7 @@ use crate::engine::System;
 use crate::failure::Failure;
 use crate::model::Model;
 use crate::observe::{PerParticle, Sample};
-use crate::output::render::{Look, write_packing};
+use crate::output::render::{Look, packing, write_packing};
 use crate::scene::ColorBy;
 use std::path::Path;
 
@@ -16,6 +16,32 @@ pub fn draw<M: Model>(
     color_by: ColorBy,
     path: &Path,
 ) -> Result<(), Failure> {
+    with_look(system, sample, columns, color_by, |system, look| {
+        Ok(write_packing(&system.comm, path, system.pbox(), system.particles(), look)?)
+    })
+}
+
+/// A measured system as an SVG document, on rank 0; nothing on the other ranks. Collective.
+pub fn svg<M: Model>(
+    system: &mut System<M>,
+    sample: &Sample,
+    columns: &PerParticle,
+    color_by: ColorBy,
+) -> Result<Option<String>, Failure> {
+    with_look(system, sample, columns, color_by, |system, look| {
+        let drawn = packing(&system.comm, system.pbox(), system.particles(), look);
+        drawn.map(|packing| packing.map(|packing| packing.to_svg())).map_err(|e| Failure::Other(e.to_string()))
+    })
+}
+
+/// What a picture shows beside the particles.
+fn with_look<M: Model, R>(
+    system: &mut System<M>,
+    sample: &Sample,
+    columns: &PerParticle,
+    color_by: ColorBy,
+    act: impl FnOnce(&System<M>, &Look) -> Result<R, Failure>,
+) -> Result<R, Failure> {
     let touching = system.contacts()?;
     let ids = &system.particles().id;
     let pairs: Vec<[u32; 2]> =
@@ -35,5 +61,5 @@ pub fn draw<M: Model>(
     // particles of no size of their own still meet at the width of their circulo-lines: delta, or 0 for disks
     let delta = system.model.range(0.0);
     let look = Look { delta, values: &values, value_name, contacts: &pairs, caption: &caption };
-    Ok(write_packing(&system.comm, path, system.pbox(), system.particles(), &look)?)
+    act(system, &look)
 }

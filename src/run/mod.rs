@@ -3,8 +3,8 @@
 mod checkpoint;
 pub mod drawing;
 mod memory;
-mod progress;
-mod records;
+pub mod progress;
+pub mod records;
 pub mod setup;
 mod table;
 
@@ -13,7 +13,7 @@ use crate::engine::{EngineError, System};
 use crate::failure::Failure;
 use crate::minimize::{ConjugateGradient, Fire, Minimizer, Newton, Report};
 use crate::model::{EdgeEdge, Model, VertexEdge};
-use crate::observe::{Moduli, OnsetBracket, Rattlers, Sample, check_no_crossing};
+use crate::observe::{Moduli, OnsetBracket, PerParticle, Rattlers, Sample, check_no_crossing};
 use crate::output::Folder;
 use crate::protocol::{Onset, compress_to, find_onset, shear_by};
 use crate::scene::{Contact, Method, Physics, Scene};
@@ -22,33 +22,61 @@ use progress::Progress;
 use records::Records;
 use std::path::Path;
 
-/// Runs a scene, or goes on with a run of it. The types of its model are chosen here, once; `speaks` allows progress
-/// lines.
+/// Runs a scene, or goes on with a run of it, and keeps its results in a folder; `speaks` allows progress lines.
 pub fn run(comm: Comm, scene: &Scene, resume: bool, speaks: bool) -> Result<(), Failure> {
-    let way = Way { scene, resume, speaks };
+    with_system(comm, scene, Keep { scene, resume, speaks })
+}
+
+/// Something to do with the system of a scene, whose types are known only once the scene has been read.
+pub trait Task {
+    fn act<M: Model>(self, system: System<M>, minimizer: &impl Minimizer) -> Result<(), Failure>;
+}
+
+/// Sets a scene up at its random start. The types of its model and its minimiser are chosen here, once.
+pub fn with_system(comm: Comm, scene: &Scene, task: impl Task) -> Result<(), Failure> {
     match &scene.physics {
-        Physics::Sp(sp) => minimized_by(setup::soft_disks(comm, scene, sp)?, way),
+        Physics::Sp(sp) => minimized_by(setup::soft_disks(comm, scene, sp)?, scene, task),
         Physics::Dp(dp) => match dp.potential.contact {
-            Contact::VertexEdge => minimized_by(setup::deformable::<VertexEdge>(comm, scene, dp)?, way),
-            Contact::EdgeEdge => minimized_by(setup::deformable::<EdgeEdge>(comm, scene, dp)?, way),
+            Contact::VertexEdge => minimized_by(setup::deformable::<VertexEdge>(comm, scene, dp)?, scene, task),
+            Contact::EdgeEdge => minimized_by(setup::deformable::<EdgeEdge>(comm, scene, dp)?, scene, task),
         },
     }
 }
 
-/// What is run, and how.
+fn minimized_by<M: Model>(system: System<M>, scene: &Scene, task: impl Task) -> Result<(), Failure> {
+    match scene.minimize.method {
+        Method::Fire => task.act(system, &Fire),
+        Method::Cg => task.act(system, &ConjugateGradient),
+        Method::Newton => task.act(system, &Newton),
+    }
+}
+
+/// A run that is kept.
 #[derive(Clone, Copy)]
-struct Way<'a> {
+struct Keep<'a> {
     scene: &'a Scene,
     resume: bool,
     speaks: bool,
 }
 
-fn minimized_by<M: Model>(system: System<M>, way: Way) -> Result<(), Failure> {
-    match way.scene.minimize.method {
-        Method::Fire => keep(system, &Fire, way),
-        Method::Cg => keep(system, &ConjugateGradient, way),
-        Method::Newton => keep(system, &Newton, way),
+impl Task for Keep<'_> {
+    fn act<M: Model>(self, system: System<M>, minimizer: &impl Minimizer) -> Result<(), Failure> {
+        keep(system, minimizer, self)
     }
+}
+
+/// Who takes what a protocol gives.
+pub trait Sink {
+    fn set_onset(&mut self, onset: Onset);
+
+    /// A sample of the system's present state; `density` is what the protocol set. Collective.
+    fn append<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        density: f64,
+        sample: Sample,
+        columns: &PerParticle,
+    ) -> Result<(), Failure>;
 }
 
 /// Runs the protocol and keeps what it gives: samples as they come, then picture, plot and table. A run that fails
@@ -56,7 +84,7 @@ fn minimized_by<M: Model>(system: System<M>, way: Way) -> Result<(), Failure> {
 fn keep<M: Model>(
     mut system: System<M>,
     minimizer: &impl Minimizer,
-    Way { scene, resume, speaks }: Way,
+    Keep { scene, resume, speaks }: Keep,
 ) -> Result<(), Failure> {
     let checkpoints = Checkpoints::new(&system.comm, minimizer, scene, resume)?;
     let directory = Path::new(&scene.output.directory);
@@ -64,7 +92,8 @@ fn keep<M: Model>(
     let folder = Folder::prepare(&system.comm, directory).map_err(|e| Failure::Input(e.to_string()))?;
     let mut progress = Progress::new(speaks && system.comm.is_root());
     let mut records = Records::create(&system, scene, &folder, resume)?;
-    let outcome = protocol(&mut system, &checkpoints, scene, &mut records, &mut progress);
+    let moduli = |system: &mut System<M>| checkpoints.remember(system, Moduli::of);
+    let outcome = protocol(&mut system, &checkpoints, moduli, scene, &mut records, &mut progress);
     progress.finish();
     if let Some(interruption) = checkpoints.interruption() {
         return Err(interruption);
@@ -86,11 +115,12 @@ fn keep<M: Model>(
 
 /// The protocol: a sample at the onset if samples are counted from there, then at each density and at each shear strain
 /// of the scene, every one force-balanced and uncrossed.
-fn protocol<M: Model>(
+pub fn protocol<M: Model>(
     system: &mut System<M>,
-    minimizer: &Checkpoints<impl Minimizer>,
+    minimizer: &impl Minimizer,
+    moduli: impl Fn(&mut System<M>) -> Result<Moduli, Failure>,
     scene: &Scene,
-    records: &mut Records,
+    records: &mut impl Sink,
     progress: &mut Progress,
 ) -> Result<(), Failure> {
     let goal = setup::goal(scene);
@@ -104,17 +134,17 @@ fn protocol<M: Model>(
         })?;
         records.set_onset(onset);
         state.onset = Some(onset);
-        sample(system, minimizer, &last, state, records)?;
+        sample(system, &moduli, &last, state, records)?;
     }
-    for density in scene.compression.samples(state.onset.map_or(0.0, |onset| onset.density)) {
+    for density in scene.samples(state.onset.map_or(0.0, |onset| onset.density)) {
         let report = compress_to(system, minimizer, &goal, density)?;
-        let pressure = sample(system, minimizer, &report, state, records)?;
+        let pressure = sample(system, &moduli, &report, state, records)?;
         progress.state("compression", density, pressure / scene.pressure_unit(), report.iterations);
     }
     for strain in scene.shear.strains() {
         let report = shear_by(system, minimizer, &goal, strain - state.strain)?;
         state.strain = strain;
-        let pressure = sample(system, minimizer, &report, state, records)?;
+        let pressure = sample(system, &moduli, &report, state, records)?;
         progress.state("shear", system.density()?, pressure / scene.pressure_unit(), report.iterations);
     }
     Ok(())
@@ -132,16 +162,16 @@ struct State<'a> {
 /// Measures the present state and appends it to the results; answers its pressure.
 fn sample<M: Model>(
     system: &mut System<M>,
-    minimizer: &Checkpoints<impl Minimizer>,
+    moduli: &impl Fn(&mut System<M>) -> Result<Moduli, Failure>,
     report: &Report,
     State { scene, onset, strain }: State,
-    records: &mut Records,
+    records: &mut impl Sink,
 ) -> Result<f64, Failure> {
     refuse_crossings(system)?;
     let (mut sample, columns) = Sample::measure(system, report, Rattlers::default())?;
     sample.strain = strain;
     if scene.measure.moduli {
-        sample.moduli = Some(minimizer.remember(system, Moduli::of)?);
+        sample.moduli = Some(moduli(system)?);
     }
     sample.onset = onset.map(|onset| OnsetBracket { onset: onset.density, unjammed: onset.unjammed });
     let density = system.density()?;

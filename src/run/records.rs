@@ -1,6 +1,6 @@
 //! What a run leaves behind: the results file, pictures, a plot, and the table on the standard output.
 
-use super::{drawing, setup, table};
+use super::{Sink, drawing, setup, table};
 use crate::engine::System;
 use crate::failure::Failure;
 use crate::model::Model;
@@ -38,34 +38,8 @@ impl Records {
         Ok(Records { file: Some(file), onset: None, samples: Vec::new(), densities: Vec::new() })
     }
 
-    pub fn set_onset(&mut self, onset: Onset) {
-        self.onset = Some(onset);
-    }
-
     pub fn n_samples(&self) -> usize {
         self.samples.len()
-    }
-
-    pub fn append<M: Model>(
-        &mut self,
-        system: &System<M>,
-        density: f64,
-        sample: Sample,
-        columns: &PerParticle,
-    ) -> Result<(), Failure> {
-        let Some(file) = &mut self.file else { return Ok(()) };
-        let frame = Frame {
-            step: self.samples.len() as u64,
-            pbox: system.pbox(),
-            particles: &system.own_particles(),
-            scalars: &scalars(density, &sample),
-            tensors: &sample.tensors(),
-            columns: &columns.named(),
-        };
-        file.append(&system.comm, &frame)?;
-        self.samples.push(sample);
-        self.densities.push(density);
-        Ok(())
     }
 
     /// Gives the results file its name, marked with the failure if there was one; then draws and prints.
@@ -117,8 +91,36 @@ impl Records {
     }
 }
 
+impl Sink for Records {
+    fn set_onset(&mut self, onset: Onset) {
+        self.onset = Some(onset);
+    }
+
+    fn append<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        density: f64,
+        sample: Sample,
+        columns: &PerParticle,
+    ) -> Result<(), Failure> {
+        let Some(file) = &mut self.file else { return Ok(()) };
+        let frame = Frame {
+            step: self.samples.len() as u64,
+            pbox: system.pbox(),
+            particles: &system.own_particles(),
+            scalars: &scalars(density, &sample),
+            tensors: &sample.tensors(),
+            columns: &columns.named(),
+        };
+        file.append(&system.comm, &frame)?;
+        self.samples.push(sample);
+        self.densities.push(density);
+        Ok(())
+    }
+}
+
 /// Everything that files call a scalar of a sample.
-fn scalars(density: f64, sample: &Sample) -> Vec<(&'static str, f64)> {
+pub fn scalars(density: f64, sample: &Sample) -> Vec<(&'static str, f64)> {
     [vec![("density", density)], sample.scalars()].concat()
 }
 

@@ -144,13 +144,18 @@ impl Stiffness {
                     let mut listed = row.split_off(own).into_iter().peekable();
                     for j in points.start..=i {
                         let (g, h) = (self.area_gradient[i], self.area_gradient[j]);
-                        let area = [g[0] * h[0], g[0] * h[1], g[1] * h[0], g[1] * h[1]].map(|x| self.area_stiffness * x);
+                        let area =
+                            [g[0] * h[0], g[0] * h[1], g[1] * h[0], g[1] * h[1]].map(|x| self.area_stiffness * x);
                         let block = listed.next_if(|&(other, _)| other == name[j]).map_or([0.0; 4], |(_, block)| block);
                         row.push((name[j], std::array::from_fn(|k| area[k] + block[k])));
                     }
                 }
                 words.extend([name[i], 5 * row.len() as u64]);
-                words.extend(row.iter().flat_map(|(other, b)| [*other, b[0].to_bits(), b[1].to_bits(), b[2].to_bits(), b[3].to_bits()]));
+                words.extend(
+                    row.iter().flat_map(|(other, b)| {
+                        [*other, b[0].to_bits(), b[1].to_bits(), b[2].to_bits(), b[3].to_bits()]
+                    }),
+                );
             }
         }
         words
