@@ -14,6 +14,27 @@ use crate::geometry::{Frac, Vec2};
 /// How many numbers are handled together.
 pub const LANES: usize = 8;
 
+/// A number of a point with a tag below [`TAGS`], which says what the point is like.
+pub type Tagged = u32;
+
+pub const TAGS: usize = 4;
+const TAG_BITS: u32 = 2;
+
+#[inline(always)]
+pub fn tagged(point: u32, tag: u32) -> Tagged {
+    point << TAG_BITS | tag
+}
+
+#[inline(always)]
+pub fn point_of(tagged: Tagged) -> u32 {
+    tagged >> TAG_BITS
+}
+
+#[inline(always)]
+pub fn tag_of(tagged: Tagged) -> u32 {
+    tagged % TAGS as u32
+}
+
 /// Work that is compiled for each kind of processor; whatever it calls and is to profit must be inlined into it.
 pub trait Kernel {
     type Output;
@@ -102,6 +123,10 @@ pub trait Lanes: Copy {
     fn few_points(self, points: &[Frac]) -> [Self::Raw; 2];
     /// The two coordinates of the points with these numbers.
     fn points(self, points: &[Frac], at: &[u32; LANES]) -> [Self::Raw; 2];
+    /// The same of tagged points.
+    fn tagged_points(self, points: &[Frac], at: &[Tagged; LANES]) -> [Self::Raw; 2];
+    /// What a table of `TAGS` rows says about pairs of tags.
+    fn by_tags(self, table: &[f64; TAGS * TAGS], row: &[Tagged; LANES], column: &[Tagged; LANES]) -> Self::Real;
     /// The numbers with these numbers.
     fn numbers(self, numbers: &[f64], at: &[u32; LANES]) -> Self::Real;
     /// From each table the numbers in the places that the first (or second) numbers of eight pairs name.
@@ -282,6 +307,16 @@ impl Lanes for Arrays {
     }
 
     #[inline(always)]
+    fn tagged_points(self, points: &[Frac], at: &[Tagged; LANES]) -> [Self::Raw; 2] {
+        self.points(points, &at.map(point_of))
+    }
+
+    #[inline(always)]
+    fn by_tags(self, table: &[f64; TAGS * TAGS], row: &[Tagged; LANES], column: &[Tagged; LANES]) -> Self::Real {
+        zip(*row, *column, |a, b| table[tag_of(a) as usize * TAGS + tag_of(b) as usize])
+    }
+
+    #[inline(always)]
     fn numbers(self, numbers: &[f64], at: &[u32; LANES]) -> Self::Real {
         at.map(|i| numbers[i as usize])
     }
@@ -314,7 +349,7 @@ impl Lanes for Arrays {
 
 #[cfg(target_arch = "x86_64")]
 mod avx512 {
-    use super::{Frac, LANES, Lanes, Vec2, eight, eight_mut};
+    use super::{Frac, LANES, Lanes, TAG_BITS, TAGS, Tagged, Vec2, eight, eight_mut};
     use std::arch::x86_64::*;
 
     /// Proof that the processor has the instructions used here (AVX-512 F, DQ and VL): made by `detected` only.
@@ -339,6 +374,26 @@ mod avx512 {
                 _mm256_cmplt_epu32_mask(at, _mm256_set1_epi32(n.min(u32::MAX as usize) as i32))
             };
             assert!(inside == 0xff, "a point that is not there");
+        }
+
+        /// Eight loads of whole points and two shuffles: quicker than two gathers.
+        ///
+        /// # Safety
+        /// `of(k)` must point to a point for each k below 8.
+        #[inline(always)]
+        unsafe fn transposed(self, of: impl Fn(usize) -> *const Frac) -> [__m512i; 2] {
+            // SAFETY: by the contract above.
+            unsafe {
+                let one = |k: usize| _mm_loadu_si128(of(k).cast());
+                let four = |k: usize| {
+                    let a = _mm512_castsi128_si512(one(k));
+                    let b = _mm512_inserti64x2::<1>(a, one(k + 2));
+                    let c = _mm512_inserti64x2::<2>(b, one(k + 4));
+                    _mm512_inserti64x2::<3>(c, one(k + 6))
+                };
+                let (even, odd) = (four(0), four(1));
+                [_mm512_unpacklo_epi64(even, odd), _mm512_unpackhi_epi64(even, odd)]
+            }
         }
     }
 
@@ -509,17 +564,27 @@ mod avx512 {
         #[inline(always)]
         fn points(self, points: &[Frac], at: &[u32; LANES]) -> [__m512i; 2] {
             self.check(at, points.len());
-            // eight loads of whole points and two shuffles: quicker than two gathers
+            unsafe { self.transposed(|k| points.as_ptr().add(at[k] as usize)) }
+        }
+
+        #[inline(always)]
+        fn tagged_points(self, points: &[Frac], at: &[Tagged; LANES]) -> [__m512i; 2] {
+            // a point is below the number of points when it is with any tag
+            self.check(at, points.len().saturating_mul(TAGS));
+            // cleared of its tag, a number is the place of its point in units of a quarter point
+            let quarters = |k: usize| (at[k] >> TAG_BITS << TAG_BITS) as usize;
+            unsafe { self.transposed(|k| points.as_ptr().byte_add(size_of::<Frac>() / TAGS * quarters(k))) }
+        }
+
+        #[inline(always)]
+        fn by_tags(self, table: &[f64; TAGS * TAGS], row: &[Tagged; LANES], column: &[Tagged; LANES]) -> __m512d {
             unsafe {
-                let one = |k: usize| _mm_loadu_si128(points.as_ptr().add(at[k] as usize).cast());
-                let four = |k: usize| {
-                    let a = _mm512_castsi128_si512(one(k));
-                    let b = _mm512_inserti64x2::<1>(a, one(k + 2));
-                    let c = _mm512_inserti64x2::<2>(b, one(k + 4));
-                    _mm512_inserti64x2::<3>(c, one(k + 6))
-                };
-                let (even, odd) = (four(0), four(1));
-                [_mm512_unpacklo_epi64(even, odd), _mm512_unpackhi_epi64(even, odd)]
+                let wide = |at: &[u32; LANES]| _mm512_cvtepu32_epi64(_mm256_loadu_si256(at.as_ptr().cast()));
+                let tags = _mm512_and_epi64(wide(column), _mm512_set1_epi64(TAGS as i64 - 1));
+                // of an index the instruction looks at the last four bits only
+                let place = _mm512_or_epi64(_mm512_slli_epi64::<TAG_BITS>(wide(row)), tags);
+                let [first, last] = [0, LANES].map(|k| _mm512_loadu_pd(table.as_ptr().add(k)));
+                _mm512_permutex2var_pd(first, place, last)
             }
         }
 
@@ -627,6 +692,7 @@ mod tests {
     /// Every operation, on numbers that vary in size and sign and hit all cases.
     struct All<'a> {
         points: &'a [Frac],
+        /// 16 and more.
         numbers: &'a [f64],
         at: [[u32; LANES]; 2],
     }
@@ -638,6 +704,9 @@ mod tests {
         fn run(self, l: impl Lanes) -> Vec<u64> {
             let [a, b] = self.at.map(|at| l.numbers(self.numbers, &at));
             let [[ax, ay], [bx, by]] = self.at.map(|at| l.points(self.points, &at));
+            let tags = self.at.map(|at| at.map(|point| tagged(point, point % TAGS as u32)));
+            let [[cx, cy], [ex, ey]] = tags.map(|at| l.tagged_points(self.points, &at));
+            let table = std::array::from_fn(|k| self.numbers[k]);
             let (dx, dy) = (l.difference(ax, bx), l.difference(by, ay));
             let (less, up_to) = (l.less(a, b), l.up_to(a, b));
             let [first_x, first_y] = l.few_points(&self.points[self.at[0][0] as usize..]);
@@ -665,6 +734,8 @@ mod tests {
                 (l.add(a, b), l.sub(a, b)),
                 (l.mul(a, b), l.div(a, b)),
                 (l.sqrt(a), l.splat(1.5)),
+                (l.difference(cx, ex), l.difference(cy, ey)),
+                (l.by_tags(&table, &tags[0], &tags[1]), l.by_tags(&table, &tags[1], &tags[0])),
                 (dx, dy),
                 (l.where_between(a, b, dx), l.where_between(a, l.splat(f64::INFINITY), dy)),
             ];
@@ -713,6 +784,30 @@ mod tests {
     #[test]
     #[should_panic]
     fn points_that_are_not_there_are_not_read() {
-        run(All { points: &[Frac::default(); 9], numbers: &[0.0; 9], at: [[0, 1, 2, 3, 4, 5, 6, 9], [0; LANES]] });
+        run(All { points: &[Frac::default(); 9], numbers: &[0.0; 16], at: [[0, 1, 2, 3, 4, 5, 6, 9], [0; LANES]] });
+    }
+
+    struct Last<'a>(&'a [Frac], Tagged);
+
+    impl Kernel for Last<'_> {
+        type Output = [Vec2; LANES];
+
+        #[inline(always)]
+        fn run(self, l: impl Lanes) -> [Vec2; LANES] {
+            let [x, y] = l.tagged_points(self.0, &[self.1; LANES]);
+            l.vectors(l.difference(x, x), l.difference(y, y))
+        }
+    }
+
+    #[test]
+    fn the_last_point_is_read_with_any_tag() {
+        let last = |tag| run(Last(&[Frac::default(); 9], tagged(8, tag)));
+        assert!((0..TAGS as u32).all(|tag| last(tag) == [[0.0; 2]; LANES]));
+    }
+
+    #[test]
+    #[should_panic]
+    fn tagged_points_that_are_not_there_are_not_read() {
+        run(Last(&[Frac::default(); 9], tagged(9, 0)));
     }
 }

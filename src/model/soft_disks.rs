@@ -1,7 +1,7 @@
 use super::stiffness::{Block, Elastic, add_elastic, of_separation, scaled, strained, times};
 use super::{Harmonic, Model, Outline, Terms, View, add_outer};
 use crate::geometry::{Vec2, dot, norm};
-use crate::lanes::{self, Kernel, Lanes};
+use crate::lanes::{self, Kernel, LANES, Lanes, TAGS, Tagged, point_of};
 use crate::neighbor::{Candidates, DiskList};
 use crate::particles::Bodies;
 use std::ops::Range;
@@ -59,36 +59,58 @@ impl SoftDisks {
 }
 
 /// Forces on a chunk of disks, eight at a time. Each lane adds the pairs of its own disk in the order of its list.
-struct Forces<'a> {
+struct Forces<'a, C> {
     model: &'a SoftDisks,
     view: &'a View<'a, DiskList>,
+    contacts: C,
     particles: Range<usize>,
     forces: &'a mut [Vec2],
 }
 
-impl Kernel for Forces<'_> {
+/// Where the distances σ_ij at which disks touch come from.
+trait Contacts: Copy {
+    fn between<L: Lanes>(&self, l: L, disks: &[Tagged; LANES], others: &[Tagged; LANES]) -> L::Real;
+}
+
+/// The tags of the lists tell.
+impl Contacts for &[f64; TAGS * TAGS] {
+    #[inline(always)]
+    fn between<L: Lanes>(&self, l: L, disks: &[Tagged; LANES], others: &[Tagged; LANES]) -> L::Real {
+        l.by_tags(self, disks, others)
+    }
+}
+
+/// Diameters of all disks.
+impl Contacts for &[f64] {
+    #[inline(always)]
+    fn between<L: Lanes>(&self, l: L, disks: &[Tagged; LANES], others: &[Tagged; LANES]) -> L::Real {
+        let [own, other] = [disks, others].map(|at| l.numbers(self, &at.map(point_of)));
+        l.mul(l.splat(0.5), l.add(own, other))
+    }
+}
+
+impl<C: Contacts> Kernel for Forces<'_, C> {
     type Output = ();
 
     #[inline(always)]
     fn run(self, l: impl Lanes) {
-        let Forces { model, view, particles, forces } = self;
-        let (position, size) = (&view.particles.position[..], &view.particles.size[..]);
+        let Forces { model, view, contacts, particles, forces } = self;
+        let position = &view.particles.position[..];
         let unit = view.pbox.unit();
         let is_tilted = unit[1] != 0.0;
-        let [unit_x, tilt, unit_y, epsilon, half, zero] =
-            [unit[0], unit[1], unit[2], model.epsilon, 0.5, 0.0].map(|x| l.splat(x));
+        let [unit_x, tilt, unit_y, epsilon, zero] = [unit[0], unit[1], unit[2], model.epsilon, 0.0].map(|x| l.splat(x));
         for slice in view.lists.slices(&particles) {
             let [own, neighbors @ ..] = slice else { continue };
-            let ([x, y], own_size) = (l.points(position, own), l.numbers(size, own));
+            let [x, y] = l.tagged_points(position, own);
             let (mut fx, mut fy) = (zero, zero);
             for at in neighbors {
-                let [other_x, other_y] = l.points(position, at);
+                let [other_x, other_y] = l.tagged_points(position, at);
                 let (across, up) = (l.difference(x, other_x), l.difference(y, other_y));
                 let dx = l.mul(across, unit_x);
                 let dx = if is_tilted { l.add(dx, l.mul(up, tilt)) } else { dx };
                 let dy = l.mul(up, unit_y);
                 let distance = l.sqrt(l.add(l.mul(dx, dx), l.mul(dy, dy)));
-                let contact = l.mul(half, l.add(own_size, l.numbers(size, at)));
+                let contact = contacts.between(l, own, at);
                 // −U′(r)/r = ε (σ_ij − r)/(σ_ij² r); r = 0 is a disk in a place that is left over
                 let strength =
                     l.div(l.mul(epsilon, l.sub(contact, distance)), l.mul(l.mul(contact, contact), distance));
@@ -97,7 +119,7 @@ impl Kernel for Forces<'_> {
                 fy = l.add(fy, l.mul(strength, dy));
             }
             for (&disk, force) in own.iter().zip(l.vectors(fx, fy)) {
-                forces[disk as usize - particles.start] = force;
+                forces[point_of(disk) as usize - particles.start] = force;
             }
         }
     }
@@ -128,7 +150,13 @@ impl Model for SoftDisks {
     }
 
     fn forces(&self, view: &View<DiskList>, particles: Range<usize>, forces: &mut [Vec2]) {
-        lanes::run(Forces { model: self, view, particles, forces });
+        match view.lists.contacts() {
+            Some(contacts) => lanes::run(Forces { model: self, view, contacts, particles, forces }),
+            None => {
+                let contacts = &view.particles.size[..];
+                lanes::run(Forces { model: self, view, contacts, particles, forces })
+            }
+        }
     }
 
     fn lighten(&self, _view: &View<DiskList>, _particles: Range<usize>, forces: &[Vec2], lightened: &mut [Vec2]) {

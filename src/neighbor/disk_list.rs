@@ -1,5 +1,5 @@
 use super::{Candidates, CellList, PointList};
-use crate::lanes::{self, Kernel, LANES, Lanes};
+use crate::lanes::{self, Kernel, LANES, Lanes, TAGS, Tagged, point_of, tag_of, tagged};
 use crate::threads::{self, Chunk};
 use std::ops::Range;
 
@@ -8,8 +8,11 @@ use std::ops::Range;
 /// Eight disks are evaluated at a time, lane by lane, so that the lists are stored in slices of eight (sliced ELLPACK):
 /// first the eight own disks, then the k-th neighbour of each, k = 0, 1, ... A disk with fewer neighbours than the
 /// others has itself in the places that are left over. Disks with equally many neighbours share a slice.
+///
+/// Where there are few different sizes, each entry bears its size as a tag, so that sizes need not be fetched.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DiskList {
+    contacts: Option<[f64; TAGS * TAGS]>,
     /// One for each chunk of own particles.
     parts: Vec<Part>,
 }
@@ -18,7 +21,7 @@ pub struct DiskList {
 #[derive(Clone, Debug, PartialEq)]
 struct Part {
     disks: Range<u32>,
-    rows: Vec<[u32; LANES]>,
+    rows: Vec<[Tagged; LANES]>,
     /// Where in `rows` each slice begins, and where the last one ends.
     start: Vec<u32>,
     /// Slice and lane of each disk, as one number.
@@ -30,8 +33,21 @@ impl DiskList {
         let Candidates { pbox, particles, region, chunks, .. } = candidates;
         let largest = threads::largest(particles.len(), |p| particles.size[p]);
         let cells = &CellList::new(pbox, region, &particles.position, largest + skin);
-        let part = |chunk: &Chunk| lanes::run(Search { candidates, cells, skin, disks: chunk.particles.clone() });
-        DiskList { parts: threads::map(chunks, part) }
+        assert!(particles.len() < (u32::MAX as usize) / TAGS, "fewer than 2^30 disks on a rank");
+        let sizes = &few_sizes(&particles.size);
+        let part =
+            |chunk: &Chunk| lanes::run(Search { candidates, cells, sizes, skin, disks: chunk.particles.clone() });
+        let contact = |a: usize, b: usize| match (sizes.get(a), sizes.get(b)) {
+            (Some(a), Some(b)) => 0.5 * (a + b),
+            _ => 0.0, // no disk has this tag
+        };
+        let table = std::array::from_fn(|k| contact(k / TAGS, k % TAGS));
+        DiskList { contacts: (!sizes.is_empty()).then_some(table), parts: threads::map(chunks, part) }
+    }
+
+    /// Distances at which disks touch, by their tags; nothing where there are too many different sizes.
+    pub fn contacts(&self) -> Option<&[f64; TAGS * TAGS]> {
+        self.contacts.as_ref()
     }
 
     fn part(&self, disk: usize) -> &Part {
@@ -43,11 +59,11 @@ impl DiskList {
         let part = self.part(i);
         let place = part.place[i - part.disks.start as usize] as usize;
         let lane = place % LANES;
-        part.slice(place / LANES)[1..].iter().map(move |row| row[lane]).take_while(move |&j| j as usize != i)
+        part.slice(place / LANES)[1..].iter().map(move |row| point_of(row[lane])).take_while(move |&j| j as usize != i)
     }
 
     /// The slices of a run of own disks, which must be one of the chunks that the list was made for.
-    pub fn slices(&self, disks: &Range<usize>) -> impl Iterator<Item = &[[u32; LANES]]> {
+    pub fn slices(&self, disks: &Range<usize>) -> impl Iterator<Item = &[[Tagged; LANES]]> {
         let part = self.part(disks.start);
         debug_assert_eq!(part.disks, disks.start as u32..disks.end as u32);
         (0..part.start.len() - 1).map(|s| part.slice(s))
@@ -58,6 +74,8 @@ impl DiskList {
 struct Search<'a> {
     candidates: &'a Candidates<'a>,
     cells: &'a CellList,
+    /// Their places are the tags; empty when there are none.
+    sizes: &'a [f64],
     skin: f64,
     disks: Range<usize>,
 }
@@ -67,7 +85,7 @@ impl Kernel for Search<'_> {
 
     #[inline(always)]
     fn run(self, l: impl Lanes) -> Part {
-        let Search { candidates: Candidates { pbox, particles, .. }, cells, skin, disks } = self;
+        let Search { candidates: Candidates { pbox, particles, .. }, cells, sizes, skin, disks } = self;
         let (position, size) = (&particles.position[..], &particles.size[..]);
         let [unit_x, tilt, unit_y, half, skin] =
             [pbox.unit()[0], pbox.unit()[1], pbox.unit()[2], 0.5, skin].map(|x| l.splat(x));
@@ -98,13 +116,27 @@ impl Kernel for Search<'_> {
             neighbors.extend(found.iter().map(|&key| key as u32));
             ends.push(neighbors.len());
         }
-        Part::new(disks.start as u32, &neighbors, &ends)
+        let tag = |point: u32| sizes.iter().position(|&s| s == size[point as usize]).unwrap_or(0) as u32;
+        Part::new(disks.start as u32, &neighbors, &ends, |point| tagged(point, tag(point)))
     }
+}
+
+/// The different sizes among these, if there are no more than tags; else none.
+fn few_sizes(sizes: &[f64]) -> Vec<f64> {
+    let add = |mut found: Vec<f64>, size: f64| {
+        if found.len() <= TAGS && !found.contains(&size) {
+            found.push(size);
+        }
+        found
+    };
+    let of = |range: Range<usize>| sizes[range].iter().copied().fold(Vec::new(), add);
+    let found = threads::reduce(0..sizes.len(), &of, &|a, b| b.into_iter().fold(a, add));
+    if found.len() <= TAGS { found } else { Vec::new() }
 }
 
 impl Part {
     /// Of the disks from `first` on, the neighbours of which stand one after another and end at `ends`.
-    fn new(first: u32, neighbors: &[u32], ends: &[usize]) -> Part {
+    fn new(first: u32, neighbors: &[u32], ends: &[usize], entry: impl Fn(u32) -> Tagged) -> Part {
         let n = ends.len();
         let row = |i: usize| &neighbors[if i > 0 { ends[i - 1] } else { 0 }..ends[i]];
         let order = by_length(n, |i| row(i).len());
@@ -119,9 +151,9 @@ impl Part {
         for (slice, eight) in order.chunks(LANES).enumerate() {
             // the last slice may be short of disks: the last one stands in for the others
             let own: [usize; LANES] = std::array::from_fn(|lane| eight[lane.min(eight.len() - 1)]);
-            part.rows.push(own.map(|i| first + i as u32));
+            part.rows.push(own.map(|i| entry(first + i as u32)));
             for k in 0..row(own[0]).len() {
-                part.rows.push(own.map(|i| row(i).get(k).copied().unwrap_or(first + i as u32)));
+                part.rows.push(own.map(|i| entry(row(i).get(k).copied().unwrap_or(first + i as u32))));
             }
             part.start.push(part.rows.len() as u32);
             eight.iter().enumerate().for_each(|(lane, &i)| part.place[i] = (slice * LANES + lane) as u16);
@@ -130,7 +162,7 @@ impl Part {
     }
 
     #[inline(always)]
-    fn slice(&self, s: usize) -> &[[u32; LANES]] {
+    fn slice(&self, s: usize) -> &[[Tagged; LANES]] {
         &self.rows[self.start[s] as usize..self.start[s + 1] as usize]
     }
 }
@@ -152,7 +184,12 @@ fn by_length(n: usize, length: impl Fn(usize) -> usize) -> Vec<usize> {
 
 impl PointList for DiskList {
     fn for_each_point(&mut self, visit: impl Fn(&mut u32) + Sync + Send) {
-        let of_part = |part: &mut Part| part.rows.iter_mut().flatten().for_each(&visit);
+        let of_entry = |entry: &mut Tagged| {
+            let mut point = point_of(*entry);
+            visit(&mut point);
+            *entry = tagged(point, tag_of(*entry));
+        };
+        let of_part = |part: &mut Part| part.rows.iter_mut().flatten().for_each(of_entry);
         threads::for_each(&mut self.parts, of_part);
     }
 }
