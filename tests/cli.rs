@@ -587,14 +587,9 @@ fn what_is_missing_of_a_checkpoint_is_done_again() {
         let file = &checkpoint_files(place.path(), start)[which];
         damage(file);
         let outcome = place.ranks(2, &RESUME).succeeds();
-        // the older state of a minimisation is looked at only if the newer one is no good
-        let is_read = start != "running-before";
-        assert_eq!(
-            outcome.stderr.contains("is damaged (its checksum is wrong); what it"),
-            is_read,
-            "{}",
-            outcome.stderr
-        );
+        // the older state of a minimisation is looked at only if the newer one is no good, or of another
+        let is_told = outcome.stderr.contains("is damaged (its checksum is wrong); what it was about is done again");
+        assert!(is_told || start == "running-before", "{}", outcome.stderr);
         assert!(place.read("out/results.h5") == undisturbed.read("out/results.h5"), "{file:?}");
     }
 }
@@ -617,9 +612,9 @@ fn a_checkpoint_of_something_else_is_refused() {
 
 #[test]
 fn signals_write_checkpoints() {
-    ["TERM", "USR2"].into_iter().for_each(|signal| {
+    for signal in ["TERM", "USR2"] {
         ended_by(signal);
-    });
+    }
 }
 
 fn ended_by(signal: &str) {

@@ -304,7 +304,8 @@ impl List {
         let kept: usize = self.fresh.iter().filter_map(|r| r.particles.as_ref()).map(bytes).sum();
         let is_due = self.written.elapsed() >= self.interval || kept > MOST_KEPT;
         let here = [is_due | self.signals.asks_for_checkpoint(), self.signals.asks_for_end()].map(u64::from);
-        let [write, end] = [0, 1].map(|k| system.comm.all_gather(&here).iter().any(|rank| rank[k] > 0));
+        let ranks = system.comm.all_gather(&here);
+        let [write, end] = [0, 1].map(|k| ranks.iter().any(|rank| rank[k] > 0));
         if write || end {
             self.write(system, memory)?;
         }
