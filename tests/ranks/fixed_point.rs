@@ -31,7 +31,7 @@ fn replicated<M: Model + Clone>(system: &System<M>, skin: f64) -> System<M> {
             many.push((copy as usize * one.len() + p) as u32, one.size[p], &points);
         }
     }
-    System::new(Comm::alone(), system.model.clone(), pbox, &pbox, many, skin).unwrap()
+    System::new(Comm::alone(), system.model, pbox, &pbox, many, skin).unwrap()
 }
 
 /// The smallest max|F| that FIRE comes to, to within a factor of two.

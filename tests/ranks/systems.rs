@@ -182,7 +182,7 @@ pub fn whole<M: Model>(system: &System<M>) -> Particles {
 /// The same particles in a system built afresh, whole on this rank.
 pub fn rebuilt_alone<M: Model + Clone>(system: &System<M>, skin: f64) -> System<M> {
     let pbox = *system.pbox();
-    System::new(Comm::alone(), system.model.clone(), pbox, &pbox, whole(system), skin).unwrap()
+    System::new(Comm::alone(), system.model, pbox, &pbox, whole(system), skin).unwrap()
 }
 
 /// Forces by global id, on this rank.
