@@ -12,7 +12,7 @@ const RESAMPLES: usize = 200;
 /// Distances above onset at which amplitudes are fitted: above the crossover of a packing so large, which is at some 10 to
 /// 100 N⁻², and below confluence. The smallest packings are not asymptotic anywhere.
 pub fn window(n_particles: usize) -> [f64; 2] {
-    [(100.0 / (n_particles as f64).powi(2)).clamp(2e-3, 2e-2), 0.1]
+    [(100.0 / (n_particles as f64).powi(2)).clamp(2e-3, 2e-2), 0.11]
 }
 
 /// Deformable particles between these are fitted by a single power, as in the paper.
@@ -275,24 +275,25 @@ fn crossover(out: &mut Findings, ensemble: &Ensemble) {
     if sizes.len() < 2 {
         return;
     }
-    // Δ N² below 1: less than one more contact in the whole packing
-    let reach = 1.0;
+    // Δ N² of a few: about one more contact in the whole packing
+    let reach = 3.0;
     let z = Quantity::DeltaContactNumber;
     let tables: Vec<[Vec<Vec<f64>>; 2]> =
         sizes.iter().map(|s| [x, z].map(|q| s.values(|p, k| p.value(q, k)))).collect();
     let at = |drawn: &[Vec<usize>], j: usize| {
         let n = sizes[j].n_particles as f64;
-        let (mut sum, mut points) = (0.0, 0);
+        let (mut products, mut squares) = (0.0, 0.0);
+        let [deltas, contacts] = &tables[j];
         for k in 1..sizes[j].n_samples() {
-            let of = |t: usize| mean(drawn[j].iter().map(|&m| tables[j][t][m][k]));
-            let (delta, dz) = (of(0), of(1));
+            let of = |table: &[Vec<f64>]| mean(drawn[j].iter().map(|&m| table[m][k]));
+            let (delta, dz) = (of(deltas), of(contacts));
             if delta * n * n < reach && dz.is_finite() {
-                // through the origin, every point counting alike
-                sum += dz / delta;
-                points += 1;
+                // least squares through the origin
+                products += delta * dz;
+                squares += delta * delta;
             }
         }
-        if points == 0 { f64::NAN } else { (points as f64 / sum).powi(2) }
+        (squares / products).powi(2)
     };
     let counts: Vec<usize> = sizes.iter().map(|s| s.all.len()).collect();
     let found = bootstrap(&counts, RESAMPLES, |drawn| {

@@ -192,7 +192,7 @@ pub fn scene_text(scene: &Scene) -> String {
 }
 
 /// Groups by ensemble, in the order of their first appearance.
-pub fn by_ensemble<'a, T>(items: &'a [T], name: impl Fn(&T) -> &str) -> Vec<(String, Vec<&'a T>)> {
+pub fn by_ensemble<T>(items: &[T], name: impl Fn(&T) -> &str) -> Vec<(String, Vec<&T>)> {
     let mut order: Vec<(String, Vec<&T>)> = Vec::new();
     let mut place = BTreeMap::new();
     for item in items {

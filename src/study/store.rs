@@ -201,7 +201,7 @@ fn records(tables: &[Table]) -> Option<Vec<Record>> {
     let onset: Option<Vec<&[f64]>> = ONSET.iter().map(|name| members.numbers(name)).collect();
     let onset = onset?;
     let mut records = Vec::new();
-    for k in 0..seed.len() {
+    for (k, &seed) in seed.iter().enumerate() {
         let g = *group.get(k)? as usize;
         let rows = *first.get(k)? as usize..(*first.get(k)? + *count.get(k)?) as usize;
         let mut own = Vec::new();
@@ -216,7 +216,7 @@ fn records(tables: &[Table]) -> Option<Vec<Record>> {
         records.push(Record {
             ensemble: ensembles.get(g)?.clone(),
             n_particles: *sizes.get(g)?,
-            seed: seed[k],
+            seed,
             scene: scenes.get(g)?.clone(),
             onset: (!found[0].is_nan()).then_some(found),
             samples: own,
