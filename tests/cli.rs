@@ -519,7 +519,7 @@ const INTERRUPTED: [&str; 2] = [
     "model = 'sp'\nn_particles = 128\n[compression]\nincrements = [1e-2]\n[shear]\nuntil = 0.01\n\
      [checkpoint]\ninterval = 0\n",
     "model = 'dp'\nn_particles = 24\n[onset]\nstep = 0.04\npressure = [1e-2, 0.1]\n[compression]\nincrements = [1e-2]\n\
-     [minimize]\nforce_tolerance = 1e-3\n[checkpoint]\ninterval = 0\n",
+     [minimize]\nmethod = 'fire'\nforce_tolerance = 1e-3\n[checkpoint]\ninterval = 0\n",
 ];
 const RUN: [&str; 4] = ["run", "scene.toml", "-o", "out"];
 const RESUME: [&str; 5] = ["run", "scene.toml", "-o", "out", "--resume"];

@@ -54,24 +54,24 @@ const TRIALS: u32 = 12;
 impl Minimizer for Newton {
     fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
         let unit = system.model.force_unit();
-        let mut path = Path { goal, unit, stiffest: 0.0, cholesky: Cholesky::default(), report: Report::default() };
+        let mut search = Search { goal, unit, stiffest: 0.0, cholesky: Cholesky::default(), report: Report::default() };
         let converged = match system.model.softened(1.0) {
             Some(full) => {
-                let outcome = path.through_softer(system, &full);
+                let outcome = search.through_softer(system, &full);
                 system.model = full;
                 outcome?
             }
             None => {
-                path.stiffest = system.model.time_step().powi(-2);
-                path.settle(system, goal.force_tolerance)?
+                search.stiffest = system.model.time_step().powi(-2);
+                search.settle(system, goal.force_tolerance)?
             }
         };
-        let report = path.report;
+        let report = search.report;
         Ok(if converged { Minimized::Converged(report) } else { Minimized::Unconverged(report) })
     }
 }
 
-struct Path<'a> {
+struct Search<'a> {
     goal: &'a Goal,
     /// [`Model::force_unit`].
     unit: f64,
@@ -81,7 +81,7 @@ struct Path<'a> {
     report: Report,
 }
 
-impl Path<'_> {
+impl Search<'_> {
     /// Relaxes with soft contacts, then hardens them; leaves the last model tried in the system.
     fn through_softer<M: Model>(&mut self, system: &mut System<M>, full: &M) -> Result<bool, EngineError> {
         let at = |level: f64| full.softened(level).expect("what was softened once can be again");

@@ -46,9 +46,9 @@ impl Kernel for OutlineForces<'_> {
             };
             scratch.frame.fill(l, view.pbox, view.particles, p, touching.points);
             scratch.contacts(l, model.parameters.contact, &touching);
+            scratch.add_up(&touching, n);
             let (forces, lightened) = (&mut forces[mine.start..], &mut lightened[mine.start..]);
-            scratch.shape(l, &model.parameters, view.particles.size[p], n, forces, lightened);
-            scratch.add_contacts(&touching, &mut forces[..n], &mut lightened[..n]);
+            scratch.all_forces(l, &model.parameters, view.particles.size[p], n, forces, lightened);
         }
     }
 }
@@ -72,9 +72,8 @@ struct Scratch {
     at_end: Vec<Vec2>,
     /// The forces of corners, each on one own vertex (by its slot).
     corners: Vec<(u16, Vec2)>,
-    /// Of all contacts: force on the particle, and torque about the origin of the frame.
-    force: Vec2,
-    torque: f64,
+    /// The forces of all contacts on the n vertices, then zeros: long enough for eight to be taken from any vertex.
+    on_vertex: Vec<Vec2>,
 }
 
 impl Scratch {
@@ -92,21 +91,12 @@ impl Scratch {
             self.pushes.resize(faces.padded.len(), [0.0; 2]);
             self.at_end.resize(faces.padded.len(), [0.0; 2]);
         }
-        let (zero, one, two) = (l.splat(0.0), l.splat(1.0), l.splat(2.0));
-        let (mut sum_x, mut sum_y, mut torque) = (zero, zero, zero);
         let results = self.pushes.chunks_exact_mut(LANES).zip(self.at_end.chunks_exact_mut(LANES));
-        for (block, (pairs, (pushes, at_end))) in faces.padded.chunks_exact(LANES).zip(results).enumerate() {
-            let Facing { x, y, push_x, push_y, foot } = local.faces(l, pairs);
+        for (pairs, (pushes, at_end)) in faces.padded.chunks_exact(LANES).zip(results) {
+            let Facing { push_x, push_y, foot } = local.faces(l, pairs);
             l.store_vectors(push_x, push_y, pushes);
             l.store_vectors(l.mul(foot, push_x), l.mul(foot, push_y), at_end);
-            // on this particle: the push of an own vertex, and the opposite of one of another's
-            let sign = l.sub(l.keep(l.first(faces.own.saturating_sub(block * LANES)), two), one);
-            let (force_x, force_y) = (l.mul(sign, push_x), l.mul(sign, push_y));
-            (sum_x, sum_y) = (l.add(sum_x, force_x), l.add(sum_y, force_y));
-            // the foot lies from the vertex in the direction of the force
-            torque = l.add(torque, l.sub(l.mul(x, force_y), l.mul(y, force_x)));
         }
-        (self.force, self.torque) = ([l.sum(sum_x), l.sum(sum_y)], l.sum(torque));
         self.corners.clear();
         let corners = touching.corners;
         for (block, pairs) in corners.padded.chunks_exact(LANES).enumerate() {
@@ -118,21 +108,42 @@ impl Scratch {
                 if let Some([x, y]) = local.corner(v.into(), w.into()) {
                     let (slot, force) = if block * LANES + k < corners.own { (v, [x, y]) } else { (w, [-x, -y]) };
                     self.corners.push((slot, force));
-                    add(&mut self.force, force);
-                    let slot = usize::from(slot);
-                    self.torque += cross([self.frame.x[slot], self.frame.y[slot]], force);
                 }
             }
         }
     }
 
-    /// Writes line tension and area forces to the first n places, and what rigid motions get more for being lighter
-    /// (see `rigid`). Only contacts move or turn the particle as a whole; tension and pressure do not.
+    /// Adds up the forces of contacts vertex by vertex, each in the order of the list. Pairs that do not touch add zeros,
+    /// so that it does not matter how many of them there are, nor where.
+    #[inline(always)]
+    fn add_up(&mut self, touching: &Touching, n: usize) {
+        self.on_vertex.clear();
+        self.on_vertex.resize(n + LANES, [0.0; 2]);
+        // slots 1..=n, and once more the first
+        let mut add_to =
+            |slot: usize, force: Vec2| add(&mut self.on_vertex[if slot > n { 0 } else { slot - 1 }], force);
+        let faces = touching.faces;
+        let (own, opposite) = (&faces.padded[..faces.own], &faces.padded[faces.own..faces.all]);
+        for (&[v, _], &push) in own.iter().zip(&self.pushes) {
+            add_to(v.into(), push);
+        }
+        let results = self.pushes[faces.own..].iter().zip(&self.at_end[faces.own..]);
+        for (&[_, e], (push, at_end)) in opposite.iter().zip(results) {
+            add_to(e.into(), [at_end[0] - push[0], at_end[1] - push[1]]);
+            add_to(usize::from(e) + 1, [-at_end[0], -at_end[1]]);
+        }
+        for &(slot, force) in &self.corners {
+            add_to(slot.into(), force);
+        }
+    }
+
+    /// Writes all forces on the n vertices, and what they accelerate when rigid motions are lighter (see `rigid`). Only
+    /// contacts move or turn the particle as a whole; tension and pressure do not.
     ///
     /// With edge vectors e_i from vertex i to i + 1: −∂(γp)/∂x_i = γ(ê_i − ê_{i−1}), and ∂a/∂x_i is half the chord
     /// e_{i−1} + e_i turned by −90°.
     #[inline(always)]
-    fn shape(
+    fn all_forces(
         &self,
         l: impl Lanes,
         parameters: &DeformableParameters,
@@ -144,9 +155,17 @@ impl Scratch {
         let frame = &self.frame;
         let per_vertex = 1.0 / n as f64;
         let mean = scale(per_vertex, frame.sum);
-        let torque = self.torque - cross(mean, self.force);
+        let (mut sum_x, mut sum_y, mut torque) = (l.splat(0.0), l.splat(0.0), l.splat(0.0));
+        for k in (0..n).step_by(LANES) {
+            let [force_x, force_y] = l.components(&self.on_vertex[k..]);
+            let (x, y) = (l.load(&frame.x[k + 1..]), l.load(&frame.y[k + 1..]));
+            (sum_x, sum_y) = (l.add(sum_x, force_x), l.add(sum_y, force_y));
+            torque = l.add(torque, l.sub(l.mul(x, force_y), l.mul(y, force_x)));
+        }
+        let force = [l.sum(sum_x), l.sum(sum_y)];
+        let torque = l.sum(torque) - cross(mean, force);
         let inertia = frame.squares - dot(mean, frame.sum);
-        let rigid::Lighter { push, turn } = rigid::Lighter::new(scale(per_vertex, self.force), torque, inertia);
+        let rigid::Lighter { push, turn } = rigid::Lighter::new(scale(per_vertex, force), torque, inertia);
         // push + turn × (arm from the mean vertex, turned by 90°)
         let (push_x, push_y) = (l.splat(push[0] + turn * mean[1]), l.splat(push[1] - turn * mean[0]));
         let turn = l.splat(turn);
@@ -161,36 +180,13 @@ impl Scratch {
             let (pull_before, pull) = (l.mul(tension, per_length_before), l.mul(tension, per_length));
             let tension_x = l.sub(l.mul(pull, x), l.mul(pull_before, before_x));
             let tension_y = l.sub(l.mul(pull, y), l.mul(pull_before, before_y));
-            let force_x = l.add(tension_x, l.mul(half_pressure, l.add(y, before_y)));
-            let force_y = l.sub(tension_y, l.mul(half_pressure, l.add(x, before_x)));
+            let [contact_x, contact_y] = l.components(&self.on_vertex[k - 1..]);
+            let force_x = l.add(l.add(tension_x, l.mul(half_pressure, l.add(y, before_y))), contact_x);
+            let force_y = l.add(l.sub(tension_y, l.mul(half_pressure, l.add(x, before_x))), contact_y);
             put(l, force_x, force_y, &mut forces[k - 1..]);
             let (at_x, at_y) = (l.load(&frame.x[k..]), l.load(&frame.y[k..]));
             let (more_x, more_y) = (l.sub(push_x, l.mul(turn, at_y)), l.add(push_y, l.mul(turn, at_x)));
-            put(l, more_x, more_y, &mut lightened[k - 1..]);
-        }
-    }
-
-    /// Adds the contact forces on all vertices, and then all forces to `lightened`.
-    #[inline(always)]
-    fn add_contacts(&self, touching: &Touching, forces: &mut [Vec2], lightened: &mut [Vec2]) {
-        let n = forces.len();
-        // slots 1..=n, and once more the first
-        let mut add_to = |slot: usize, force: Vec2| add(&mut forces[if slot > n { 0 } else { slot - 1 }], force);
-        let faces = touching.faces;
-        let (own, opposite) = (&faces.padded[..faces.own], &faces.padded[faces.own..faces.all]);
-        for (&[v, _], &push) in own.iter().zip(&self.pushes) {
-            add_to(v.into(), push);
-        }
-        let results = self.pushes[faces.own..].iter().zip(&self.at_end[faces.own..]);
-        for (&[_, e], (push, at_end)) in opposite.iter().zip(results) {
-            add_to(e.into(), [at_end[0] - push[0], at_end[1] - push[1]]);
-            add_to(usize::from(e) + 1, [-at_end[0], -at_end[1]]);
-        }
-        for &(slot, force) in &self.corners {
-            add_to(slot.into(), force);
-        }
-        for (slot, &force) in lightened.iter_mut().zip(&*forces) {
-            add(slot, force);
+            put(l, l.add(more_x, force_x), l.add(more_y, force_y), &mut lightened[k - 1..]);
         }
     }
 }
@@ -217,10 +213,7 @@ struct Local<'a> {
 
 /// Eight pairs of a vertex and an edge.
 struct Facing<L: Lanes> {
-    /// The vertex.
-    x: L::Real,
-    y: L::Real,
-    /// The force on it, zero unless its foot lies between the ends of the edge and the distance is less than δ.
+    /// The force on the vertex, zero unless its foot lies between the ends of the edge and the distance is less than δ.
     push_x: L::Real,
     push_y: L::Real,
     /// Where the foot lies: 0 at the start, 1 at the end.
@@ -247,7 +240,7 @@ impl Local<'_> {
         let strength = l.sub(l.with_sign(l.splat(self.push), left), l.mul(l.splat(self.stiffness), left));
         let along_normal = l.keep(l.both(between, near), l.mul(strength, per_length));
         let (push_x, push_y) = (l.sub(zero, l.mul(along_normal, y)), l.mul(along_normal, x));
-        Facing { x: at_x, y: at_y, push_x, push_y, foot }
+        Facing { push_x, push_y, foot }
     }
 
     /// Which of eight pairs of vertices are closer than δ, as bits.
