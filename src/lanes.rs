@@ -717,7 +717,7 @@ mod tests {
             let [taken_a, taken_b] = l.components(&interleaved[1..]);
             let bits = [l.bits(less), l.bits(up_to), l.bits(l.both(less, l.first(5)))].map(f64::from);
             let named: [[u16; 2]; LANES] = std::array::from_fn(|k| self.at.map(|at| at[k] as u16));
-            let [first, shifted_first] = l.rows::<2, false>([self.numbers, &self.numbers[..]], &named);
+            let [first, shifted_first] = l.rows::<2, false>([self.numbers; 2], &named);
             let [second] = l.rows::<1, true>([self.numbers], &named);
             let pairs = [
                 (l.add(first, shifted_first), second),

@@ -142,12 +142,12 @@ impl Stiffness {
                     // the area couples all points of the particle: they stand at the end of the row
                     let own = row.partition_point(|&(other, _)| other < name[points.start]);
                     let mut listed = row.split_off(own).into_iter().peekable();
-                    for j in points.start..=i {
-                        let (g, h) = (self.area_gradient[i], self.area_gradient[j]);
+                    let g = self.area_gradient[i];
+                    for (&other, &h) in name[points.start..=i].iter().zip(&self.area_gradient[points.start..=i]) {
                         let area =
                             [g[0] * h[0], g[0] * h[1], g[1] * h[0], g[1] * h[1]].map(|x| self.area_stiffness * x);
-                        let block = listed.next_if(|&(other, _)| other == name[j]).map_or([0.0; 4], |(_, block)| block);
-                        row.push((name[j], std::array::from_fn(|k| area[k] + block[k])));
+                        let block = listed.next_if(|&(column, _)| column == other).map_or([0.0; 4], |(_, block)| block);
+                        row.push((other, std::array::from_fn(|k| area[k] + block[k])));
                     }
                 }
                 words.extend([name[i], 5 * row.len() as u64]);
