@@ -215,6 +215,9 @@ pub struct Settings {
     #[arg(long, global = true, value_name = "N", env = "RAYON_NUM_THREADS", default_value_t = 1,
           value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: u16,
+    /// Print at the end where the time went and what the ranks sent each other
+    #[arg(long, global = true)]
+    pub profile: bool,
     /// Messages about progress and logs on the standard error: plain text or one JSON object a line
     #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,

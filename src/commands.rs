@@ -3,12 +3,14 @@
 use crate::analysis;
 use crate::cli::{Cli, Command, LogFormat, RunOptions, Settings, Starter};
 use crate::comm::{Comm, Session};
+use crate::costs;
 use crate::exchange;
 use crate::failure::{Failure, exit};
 use crate::frames::{self, Frame};
 use crate::minimize::{ConjugateGradient, Fire, Goal, Minimized, Newton, Report};
 use crate::output::folder::write_whole;
 use crate::output::info;
+use crate::profile;
 use crate::run;
 use crate::scene::{self, Method, Scene};
 use crate::study::{self, figures::NUMBERS, plan::Plan};
@@ -19,6 +21,12 @@ use std::path::Path;
 pub fn dispatch(session: &Session, cli: Cli) -> u8 {
     let is_root = session.world().is_root();
     let outcome = start(&cli.settings, is_root).and_then(|()| execute(session, &cli));
+    if cli.settings.profile && !matches!(outcome, Err(Failure::Input(_))) {
+        let table = costs::table(&session.world());
+        if is_root {
+            eprint!("{table}");
+        }
+    }
     match outcome {
         Ok(()) => exit::SUCCESS,
         Err(failure) => {
@@ -165,6 +173,9 @@ fn start(settings: &Settings, is_root: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::Other(format!("cannot start {} threads: {e}", settings.threads)))?;
     if is_root {
         start_logs(settings);
+    }
+    if settings.profile {
+        profile::start();
     }
     Ok(())
 }

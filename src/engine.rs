@@ -7,6 +7,7 @@ use crate::geometry::{Frac, PeriodicBox, Vec2, norm};
 use crate::model::{Model, Outline, Terms, View};
 use crate::neighbor::{Candidates, PointList};
 use crate::particles::{Bodies, ForeignPoint, Particles};
+use crate::profile::{self, Count, Phase};
 use crate::threads::{self, Chunk};
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -303,6 +304,7 @@ impl<M: Model> System<M> {
         let Particles { position, carried, .. } = &mut self.particles;
         let forces = if M::BODIES { &self.lightened } else { &self.forces };
         let pbox = &self.pbox;
+        let _update = profile::enter(Phase::Update);
         threads::fold(
             &self.chunks,
             &mut position[..owned],
@@ -332,6 +334,7 @@ impl<M: Model> System<M> {
         let [first, second] = &mut carried[..] else { panic!("two vectors are carried") };
         let forces = if M::BODIES { &self.lightened } else { &self.forces };
         let pbox = &self.pbox;
+        let _update = profile::enter(Phase::Update);
         threads::fold_split(
             &self.chunks,
             (&mut position[..owned], (&mut first[..], &mut second[..])),
@@ -351,6 +354,8 @@ impl<M: Model> System<M> {
         self.prepare()?;
         self.narrow();
         self.counters.forces += 1;
+        profile::add(Count::Steps, 1);
+        let _forces = profile::enter(Phase::Forces);
         let view = View { pbox: &self.pbox, particles: &self.particles, lists: &self.list };
         let model = &self.model;
         if M::BODIES {
@@ -385,6 +390,7 @@ impl<M: Model> System<M> {
             self.choose_skin();
             self.rebuild()?;
         } else if self.halo_is_old {
+            let _halo = profile::enter(Phase::Halo);
             self.halo.update(&self.comm, &mut self.particles.position);
         }
         self.halo_is_old = false;
@@ -394,6 +400,7 @@ impl<M: Model> System<M> {
     /// Picks from the lists what can touch during the next steps, if points have moved farther than was foreseen.
     fn narrow(&mut self) {
         if self.since_narrowed > self.narrowed_for {
+            let _lists = profile::enter(Phase::Lists);
             self.narrowed_for = (STEPS_FORESEEN * self.last_move).max(0.01 * self.skin).min(0.5 * self.skin);
             self.model.narrow(&self.pbox, &self.particles, &mut self.list, self.narrowed_for);
             self.since_narrowed = 0.0;
@@ -430,6 +437,7 @@ impl<M: Model> System<M> {
         if self.travel_bound <= allowed {
             return true;
         }
+        let _lists = profile::enter(Phase::Lists);
         let travel = |i: usize| norm(self.pbox.displacement(self.particles.position[i], self.built_position[i]));
         let farthest = threads::largest(self.built_position.len(), travel);
         self.travel_bound = self.comm.max(farthest);
@@ -440,6 +448,7 @@ impl<M: Model> System<M> {
     /// Hands particles to the owners of their centres, then collects the foreign points that the new lists name.
     fn rebuild(&mut self) -> Result<(), EngineError> {
         self.counters.rebuilds += 1;
+        let _lists = profile::enter(Phase::Lists);
         self.list = M::List::default(); // its memory is wanted for the new one
         self.particles.forget_foreign();
         self.migrate();

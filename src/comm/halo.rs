@@ -1,4 +1,5 @@
 use super::Comm;
+use crate::profile::{self, Count};
 use mpi::point_to_point::{Destination, Source};
 use mpi::topology::Communicator;
 use std::ops::Range;
@@ -81,6 +82,10 @@ impl Halo {
                 let words: &[u64] = bytemuck::cast_slice(buffer);
                 sending[k] = Some(peer.immediate_send(scope, words));
             }
+            let bytes: usize = self.outgoing.iter().map(|buffer| size_of_val(&buffer[..])).sum();
+            profile::add(Count::HaloBytes, bytes);
+            profile::add(Count::HaloMessages, sending.iter().flatten().count());
+            profile::add(Count::Waits, pending.iter().flatten().count());
             for request in pending.into_iter().flatten() {
                 request.wait_without_status();
             }

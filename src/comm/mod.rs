@@ -10,6 +10,7 @@ pub use exact_sum::{ExactSum, Grid};
 pub use halo::Halo;
 pub use reduction::{EXTREMES, FusedSums, Sums, Totals};
 
+use crate::profile::{self, Count, Phase};
 use crate::threads;
 use mpi::collective::UnsafeUserOperation;
 use mpi::point_to_point::{Destination, Source};
@@ -111,6 +112,8 @@ impl Comm {
         if let (Some(group), Some(fold)) = (self.peers(), &self.fold) {
             let mine = totals.to_block();
             let mut all = reduction::Block::default();
+            let _reduction = profile::enter(Phase::Reductions);
+            profile::add(Count::Collectives, 1);
             group.all_reduce_into(&mine, &mut all, fold);
             *totals = Totals::from_block(all);
         }
@@ -185,6 +188,8 @@ impl Comm {
             None => vec![words.to_vec()],
             Some(group) => {
                 let mut all = vec![0u64; words.len() * self.size];
+                let _reduction = profile::enter(Phase::Reductions);
+                profile::add(Count::Collectives, 1);
                 group.all_gather_into(words, &mut all[..]);
                 all.chunks(words.len().max(1)).map(<[u64]>::to_vec).collect()
             }
@@ -195,6 +200,9 @@ impl Comm {
     /// be mutual: every rank names those that name it. Any lengths.
     pub fn exchange(&self, peers: &[usize], outgoing: &[Vec<u64>]) -> Vec<Vec<u64>> {
         let Some(group) = self.peers() else { return Vec::new() };
+        profile::add(Count::ListMessages, outgoing.len());
+        profile::add(Count::ListBytes, outgoing.iter().map(|words| size_of_val(&words[..])).sum());
+        profile::add(Count::Waits, peers.len());
         mpi::request::multiple_scope(peers.len(), |scope, pending| {
             for (&peer, words) in peers.iter().zip(outgoing) {
                 pending.add(group.process_at_rank(peer as i32).immediate_send(scope, &words[..]));

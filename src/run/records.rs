@@ -7,6 +7,7 @@ use crate::model::Model;
 use crate::observe::{PerParticle, Rattlers, Sample};
 use crate::output::render::{MAX_PARTICLES, write_plot};
 use crate::output::{Folder, Frame, ResultsFile};
+use crate::profile::{self, Phase};
 use crate::protocol::Onset;
 use crate::scene::Scene;
 use std::path::PathBuf;
@@ -50,6 +51,7 @@ impl Records {
         folder: &Folder,
         failure: Option<&Failure>,
     ) -> Result<(), Failure> {
+        let _output = profile::enter(Phase::Output);
         let mut written = vec![RESULTS];
         let mut moved = None;
         if let Some(file) = self.file.take() {
@@ -112,6 +114,7 @@ impl Sink for Records {
             tensors: &sample.tensors(),
             columns: &columns.named(),
         };
+        let _output = profile::enter(Phase::Output);
         file.append(&system.comm, &frame)?;
         self.samples.push(sample);
         self.densities.push(density);
