@@ -4,14 +4,15 @@
 //! `cargo bench --bench step` prints the table for 10⁴ and 10⁵ disks and 10⁴ polygons;
 //! `cargo bench --bench step -- sp 1000000` or `-- dp 1000` one model and size.
 
-use jamhpc::comm::{Comm, Session};
+mod systems;
+
+use jamhpc::comm::Session;
 use jamhpc::engine::System;
-use jamhpc::geometry::PeriodicBox;
-use jamhpc::minimize::{Fire, Goal, Minimizer};
-use jamhpc::model::{Deformable, DeformableParameters, Harmonic, Model, SoftDisks, VertexEdge};
-use jamhpc::protocol::{Species, deformable_particles, random_disks};
+use jamhpc::model::Model;
+use jamhpc::profile::peak_memory;
 use std::process::Command;
 use std::time::Instant;
+use systems::{deformable, run, soft_disks};
 
 const STEPS: u64 = 300;
 const REBUILDS: u32 = 10;
@@ -30,8 +31,8 @@ fn main() {
             .expect("the first pool");
         let session = Session::start();
         match model {
-            "sp" => soft_disks(session.world(), n),
-            _ => deformable(session.world(), n),
+            "sp" => measure("sp", &mut soft_disks(session.world(), n)),
+            _ => measure("dp", &mut deformable(session.world(), n)),
         }
         return;
     }
@@ -58,48 +59,6 @@ fn main() {
     }
 }
 
-fn soft_disks(comm: Comm, n: u32) {
-    let species =
-        [Species { count: n / 2, size: 1.0, n_vertices: 1 }, Species { count: n - n / 2, size: 1.4, n_vertices: 1 }];
-    let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(0.0)).sum();
-    let pbox = PeriodicBox::square((area / 0.86).sqrt());
-    let disks = random_disks(&comm, &species, 1, |s| s.size);
-    let model = SoftDisks { epsilon: 1.0, smallest: 1.0 };
-    let mut system = System::new(comm, model, pbox, &pbox, disks, 0.3).expect("a box that fits");
-    run(&mut system, 2000);
-    measure("sp", &mut system);
-}
-
-fn deformable(comm: Comm, n: u32) {
-    let small = (24.0f64 / 29.0).powi(2);
-    let large = small * (17.0f64 / 12.0).powi(2);
-    let species = [
-        Species { count: n / 2, size: small, n_vertices: 12 },
-        Species { count: n - n / 2, size: large, n_vertices: 17 },
-    ];
-    let (delta, k_area) = (0.1, 1000.0 / (small * small));
-    let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(delta)).sum();
-    let at = |density: f64| PeriodicBox::square((area / density).sqrt());
-    let (comm, polygons) = deformable_particles(comm, at(0.7), &species, 1, delta).expect("a dilute start");
-    let model = Deformable::<VertexEdge>::new(DeformableParameters {
-        line_tension: 1.0,
-        k_area,
-        contact: Harmonic { epsilon: 0.01 * k_area * large * large, delta },
-        largest_area_per_vertex: large / 17.0,
-    });
-    let mut system = System::new(comm, model, at(0.7), &at(0.9), polygons, 0.1).expect("a box that fits");
-    for density in [0.74, 0.78, 0.82, 0.86, 0.90] {
-        system.deform_rigidly(at(density));
-        run(&mut system, 100);
-    }
-    measure("dp", &mut system);
-}
-
-fn run<M: Model>(system: &mut System<M>, steps: u64) {
-    let goal = Goal { force_tolerance: 0.0, max_iterations: steps };
-    let _ = Fire.minimize(system, &goal).expect("finite forces");
-}
-
 fn measure<M: Model>(model: &str, system: &mut System<M>) {
     run(system, 500);
     let rebuilds = system.counters.rebuilds;
@@ -116,7 +75,7 @@ fn measure<M: Model>(model: &str, system: &mut System<M>) {
     });
     let points = system.n_points() as f64;
     let ranks = system.comm.size();
-    let peak = system.comm.max(peak_bytes());
+    let peak = system.comm.max(peak_memory());
     if system.comm.is_root() {
         println!(
             "{model:5}  {ranks:5} x {:<7} {points:9} {:11.1} {:12.1} {rebuilds:9} {:7} {:16.0}",
@@ -136,11 +95,4 @@ fn timed<M: Model>(system: &mut System<M>, work: impl FnOnce(&mut System<M>)) ->
     work(system);
     system.comm.barrier();
     start.elapsed().as_secs_f64()
-}
-
-/// Peak resident memory of this process.
-fn peak_bytes() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find(|l| l.starts_with("VmHWM"));
-    line.and_then(|l| l.split_whitespace().nth(1)?.parse::<f64>().ok()).map_or(f64::NAN, |kib| kib * 1024.0)
 }
