@@ -165,9 +165,9 @@ fn summary(csv: &str, plot: &str) {
                 println!("{study:<8}{name:<36}{cores:>8}{n:>12}{time:>14.1}{:>12.3}", efficiency(cores, time));
                 points.push([cores as f64, efficiency(cores, time)]);
             }
-            series.push(Series { name: name.clone(), points, error: None, line: true });
+            series.push(Series { name: name.clone(), points, error: None, line: true, style: None });
         }
-        series.push(Series { name: "ideal".into(), points: ideal(&series), error: None, line: true });
+        series.push(Series { name: "ideal".into(), points: ideal(&series), error: None, line: true, style: None });
         axes.push(Axes {
             title: format!("{study} scaling"),
             x_label: "cores".into(),
