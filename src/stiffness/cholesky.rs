@@ -3,10 +3,15 @@ use crate::comm::Comm;
 use crate::engine::System;
 use crate::geometry::Vec2;
 use crate::model::{Block, Model};
-use faer::linalg::solvers::Solve;
-use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
-use faer::sparse::{SparseColMat, SymbolicSparseColMat};
-use faer::{Col, Par, Side};
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::LltRegularization;
+use faer::perm::PermRef;
+use faer::sparse::linalg::cholesky::{
+    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+};
+use faer::sparse::linalg::{SupernodalThreshold, amd};
+use faer::sparse::{SparseColMat, SymbolicSparseColMat, SymbolicSparseColMatRef};
+use faer::{Col, Conj, Par, Side, Spec};
 
 /// Direct solutions of (H + shift) u = b by a sparse Cholesky factor, which exists where that matrix is positive
 /// definite.
@@ -17,8 +22,9 @@ use faer::{Col, Par, Side};
 #[derive(Default)]
 pub struct Cholesky {
     matrix: Option<SparseColMat<usize, f64>>,
-    pattern: Option<SymbolicLlt<usize>>,
-    factor: Option<Llt<usize, f64>>,
+    pattern: Option<SymbolicCholesky<usize>>,
+    /// Values of the factor, empty where there is none.
+    factor: Vec<f64>,
     /// For each rank the places of its points in the order of global ids. Rank 0 only, as the above.
     places: Vec<Vec<usize>>,
 }
@@ -44,9 +50,21 @@ impl Cholesky {
         let ends: Vec<usize> = shifted.col_ptr()[1..].to_vec();
         // the diagonal closes each column of the upper triangle
         ends.iter().for_each(|&end| shifted.val_mut()[end - 1] += shift);
-        faer::set_global_parallelism(Par::Seq);
-        self.factor = Llt::try_new_with_symbolic(pattern.clone(), shifted.as_ref(), Side::Upper).ok();
-        self.factor.is_some()
+        self.factor.resize(pattern.len_val(), 0.0);
+        let mut scratch = MemBuffer::new(pattern.factorize_numeric_llt_scratch::<f64>(Par::Seq, Spec::default()));
+        let done = pattern.factorize_numeric_llt(
+            &mut self.factor,
+            shifted.as_ref(),
+            Side::Upper,
+            LltRegularization::default(),
+            Par::Seq,
+            MemStack::new(&mut scratch),
+            Spec::default(),
+        );
+        if done.is_err() {
+            self.factor.clear();
+        }
+        !self.factor.is_empty()
     }
 
     /// u for the own points, given b there. Collective; call [`Cholesky::factorize`] first.
@@ -55,14 +73,16 @@ impl Cholesky {
         let words = |vectors: &[Vec2]| vectors.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<u64>>();
         let gathered = comm.gather(words(b));
         let mut parts = vec![Vec::new(); comm.size()];
-        if let Some(factor) = &self.factor {
+        if let (Some(pattern), false) = (&self.pattern, self.factor.is_empty()) {
+            let factor = LltRef::new(pattern, &self.factor);
             let mut x = Col::<f64>::zeros(2 * self.places.iter().map(Vec::len).sum::<usize>());
             for (places, part) in self.places.iter().zip(&gathered) {
                 for (&place, v) in places.iter().zip(part.chunks_exact(2)) {
                     [0, 1].into_iter().for_each(|k| x[2 * place + k] = f64::from_bits(v[k]));
                 }
             }
-            factor.solve_in_place(x.as_mat_mut());
+            let mut scratch = MemBuffer::new(pattern.solve_in_place_scratch::<f64>(1, Par::Seq));
+            factor.solve_in_place_with_conj(Conj::No, x.as_mat_mut(), Par::Seq, MemStack::new(&mut scratch));
             for (places, part) in self.places.iter().zip(&mut parts) {
                 part.extend(places.iter().flat_map(|&place| [0, 1].map(|k| x[2 * place + k].to_bits())));
             }
@@ -114,11 +134,35 @@ impl Cholesky {
         let is_known = self.matrix.as_ref().is_some_and(same);
         let matrix = SparseColMat::new(SymbolicSparseColMat::new_checked(n, n, start, None, index), values);
         if !is_known {
-            self.pattern = SymbolicLlt::try_new(matrix.symbolic(), Side::Upper).ok();
+            self.pattern = analysis(matrix.symbolic());
         }
         self.matrix = Some(matrix);
-        self.factor = None;
+        self.factor.clear();
     }
+}
+
+/// Order of elimination and pattern of the factor. Both degrees of freedom of a point have the same pattern, so points
+/// are put in order of least degree; the small dense blocks of particles make supernodes.
+fn analysis(matrix: SymbolicSparseColMatRef<'_, usize>) -> Option<SymbolicCholesky<usize>> {
+    let points = matrix.ncols() / 2;
+    let (mut start, mut index) = (vec![0], Vec::new());
+    for point in 0..points {
+        index.extend(matrix.row_idx_of_col(2 * point).filter(|row| row % 2 == 0).map(|row| row / 2));
+        start.push(index.len());
+    }
+    let blocks = SymbolicSparseColMatRef::new_checked(points, points, &start, None, &index);
+    let (mut order, mut places) = (vec![0; points], vec![0; points]);
+    let mut scratch = MemBuffer::new(amd::order_maybe_unsorted_scratch::<usize>(points, index.len()));
+    let stack = MemStack::new(&mut scratch);
+    amd::order_maybe_unsorted(&mut order, &mut places, blocks, amd::Control::default(), stack).ok()?;
+    let both = |points: &[usize]| points.iter().flat_map(|&p| [2 * p, 2 * p + 1]).collect::<Vec<usize>>();
+    let (order, places) = (both(&order), both(&places));
+    let how = CholeskySymbolicParams {
+        supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
+        ..Default::default()
+    };
+    let order = SymmetricOrdering::Custom(PermRef::new_checked(&order, &places, 2 * points));
+    factorize_symbolic_cholesky(matrix, Side::Upper, order, how).ok()
 }
 
 impl Stiffness {
