@@ -5,6 +5,7 @@
 //! rounding where the formula holds for what is computed, and the measured error of discretisation where it is a limit
 //! of many vertices.
 
+mod border;
 mod ensemble;
 mod foam;
 mod lattice;

@@ -31,6 +31,8 @@ pub struct RoundedHexagon {
     /// h_a
     pub half_height: f64,
     pub delta: f64,
+    /// What its corners take from a hexagon's area, over r².
+    corner_area: f64,
 }
 
 impl RoundedHexagon {
@@ -38,7 +40,12 @@ impl RoundedHexagon {
     pub fn with_border(material: &Material, border: f64) -> Self {
         let area = material.rest_area - 1.0 / (material.k_area * border);
         let hexagon = ((area + corner_area() * border * border) / (2.0 * 3.0f64.sqrt())).sqrt();
-        RoundedHexagon { border, half_height: hexagon + 0.5 * material.delta, delta: material.delta }
+        RoundedHexagon {
+            border,
+            half_height: hexagon + 0.5 * material.delta,
+            delta: material.delta,
+            corner_area: corner_area(),
+        }
     }
 
     /// From ρ, shell included, by bisection.
@@ -53,6 +60,28 @@ impl RoundedHexagon {
             }
         }
         Self::with_border(material, 0.5 * (low + high))
+    }
+
+    /// The polygon in the same box that has `corners` vertices in place of each arc, from γ/r = k_a(a₀ − a) and
+    /// a = 2√3 H² − 6 (tan π/6 − k tan(π/6k)) r² by bisection: its corners are parts of regular polygons around circles
+    /// of radius r. It bears the pressure of the rounded hexagon with that r.
+    pub fn with_corners(self, material: &Material, corners: usize) -> Self {
+        let k = corners as f64;
+        let corner_area = 6.0 * ((PI / 6.0).tan() - k * (PI / 6.0 / k).tan());
+        let excess = |r: f64| {
+            let area = 2.0 * 3.0f64.sqrt() * self.hexagon() * self.hexagon() - corner_area * r * r;
+            material.k_area * (material.rest_area - area) - 1.0 / r
+        };
+        let (mut low, mut high) = (1e-6, self.hexagon());
+        for _ in 0..100 {
+            let middle = 0.5 * (low + high);
+            if excess(middle) < 0.0 {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        RoundedHexagon { border: 0.5 * (low + high), corner_area, ..self }
     }
 
     /// H
@@ -101,7 +130,7 @@ impl RoundedHexagon {
     /// thickness δ comes from the borders.
     fn border_at(&self, strain: f64) -> f64 {
         let grown = 2.0 * 3.0f64.sqrt() * self.half_height * ((1.0 + 0.25 * strain * strain).sqrt() - 1.0);
-        (self.border * self.border - self.delta * grown / corner_area()).max(0.0).sqrt()
+        (self.border * self.border - self.delta * grown / self.corner_area).max(0.0).sqrt()
     }
 
     /// Shear stress along rows of cells when the border radius is the present one: τ = G s/√(1 + s²/4) (Princen 1983),
@@ -220,6 +249,14 @@ mod tests {
             let expected = cell.with_other_border(cell.border_at(s)).shear_stress(s);
             assert!((stress / expected - 1.0).abs() < 1e-6, "{stress} {expected}");
         }
+    }
+
+    #[test]
+    fn many_corners_make_arcs() {
+        let cell = RoundedHexagon::at_density(&MATERIAL, 0.98);
+        let error = |k: usize| cell.with_corners(&MATERIAL, k).border - cell.border;
+        assert!(0.0 < error(1000) && error(1000) < 1e-6, "{}", error(1000));
+        assert!((error(20) / error(40) - 4.0).abs() < 0.05);
     }
 
     #[test]
