@@ -242,7 +242,7 @@ pub fn deformable(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>
     const SEEDS: u64 = 4;
     let comm = world();
     let rows = over_seeds(&comm, 1..=SEEDS, |seed| {
-        let mut system = random_polygons(Comm::alone(), 32, seed)?;
+        let mut system = random_polygons(Comm::alone(), 32, seed, 0.01)?;
         let mut row = [0.0; 6];
         let coarse = Goal { force_tolerance: 1e-2, max_iterations: 10_000_000 };
         for density in [0.8, 0.84, 0.88, 0.9] {
