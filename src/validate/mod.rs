@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn cheap_groups_pass() {
-        for group in [lattice::checks, polygon::checks] {
+        for group in [lattice::checks, polygon::checks, foam::checks, yielding::checks] {
             for check in group(&Comm::alone, Effort::Quick).unwrap() {
                 assert!(check.passes(), "{check:?}");
             }
