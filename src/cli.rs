@@ -54,7 +54,7 @@ Examples:
   jamhpc evaluate FILE.json                     energy, forces, stress, contacts of one configuration
   jamhpc analyze FILE.h5 --all -o numbers.csv   every observable of every frame, measured again
   jamhpc check FILE.h5                          is every frame relaxed, uncrossed, and what it says it is?
-  jamhpc validate                               is this build right? exact checks, less than a minute
+  jamhpc validate                               is this build right? exact checks, some seconds
 
 Exit codes: 0 done, 2 bad input, 3 a state did not converge, 1 other failures, 85 interrupted by a signal
 (--resume goes on), 70 internal error.";
@@ -179,7 +179,7 @@ pub enum Command {
     },
     /// Check the program against exact formulas and print what came out; fails if a check does
     Validate {
-        /// More and finer checks, for some minutes
+        /// More and finer checks, and means over many packings: about seven minutes on one core
         #[arg(long)]
         long: bool,
     },

@@ -7,11 +7,14 @@ use super::packings::{random_polygons, random_soft_disks};
 use super::{Check, Effort};
 use crate::comm::Comm;
 use crate::engine::System;
-use crate::minimize::{ConjugateGradient, Fire, Goal, Minimized, Minimizer};
+use crate::minimize::{ConjugateGradient, Goal, Minimized, Minimizer, Newton};
 use crate::model::SoftDisks;
-use crate::observe::{Approximations, Contacts, Moduli, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
+use crate::observe::{
+    Approximations, Contacts, Moduli, PackingFraction, Rattlers, Shape, Stability, Voids, rattler_ids,
+};
 use crate::protocol::{Onset, OnsetSearch, ProtocolError, compress_to, find_onset};
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 use std::ops::RangeInclusive;
 
 /// Balanced to this in units of ε/σ_S, far below the forces at the lowest pressure that counts as jammed.
@@ -47,7 +50,10 @@ fn over_seeds<const K: usize>(
 ) -> Vec<[f64; K]> {
     let mine = seeds.clone().filter(|seed| *seed as usize % comm.size() == comm.rank());
     let words = mine.flat_map(|seed| {
-        let row = of(seed).unwrap_or([f64::NAN; K]);
+        let row = of(seed).unwrap_or_else(|error| {
+            tracing::warn!(seed, %error, "a packing without result");
+            [f64::NAN; K]
+        });
         [seed].into_iter().chain(row.map(f64::to_bits))
     });
     let all = comm.gather(words.collect()).concat();
@@ -60,12 +66,36 @@ fn over_seeds<const K: usize>(
     numbers.chunks_exact(K).map(|row| std::array::from_fn(|k| row[k])).collect()
 }
 
+/// The rows of packings that have a result, and a check that nearly all have. Where 2 % are left out, means are off by
+/// less than 0.02 of the spread of single packings, a fraction of their errors.
+fn with_result<const K: usize>(name: &str, rows: Vec<[f64; K]>) -> (Vec<[f64; K]>, Check) {
+    let n = rows.len() as f64;
+    let finite: Vec<[f64; K]> = rows.into_iter().filter(|row| row.iter().all(|x| x.is_finite())).collect();
+    let check = Check::new(format!("{name}: packings with a result"), 1.0, finite.len() as f64 / n, 0.02);
+    (finite, check)
+}
+
 /// The mean of some numbers and its standard error.
 pub fn mean_and_error(numbers: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
     let n = numbers.clone().count() as f64;
     let mean = numbers.clone().sum::<f64>() / n;
     let variance = numbers.map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
     [mean, (variance / n).sqrt()]
+}
+
+/// The median of some numbers and its standard error, half the distance between the order statistics
+/// that are √n/2, one standard deviation of a rank, away on either side. NaN if one of them is.
+fn median_and_error(numbers: impl Iterator<Item = f64>) -> [f64; 2] {
+    let mut sorted: Vec<f64> = numbers.collect();
+    if sorted.iter().any(|x| x.is_nan()) {
+        return [f64::NAN; 2];
+    }
+    sorted.sort_unstable_by(f64::total_cmp);
+    let n = sorted.len();
+    let median = 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]);
+    let away = (0.5 * (n as f64).sqrt()).ceil() as usize;
+    let (low, high) = (sorted[((n - 1) / 2).saturating_sub(away)], sorted[(n / 2 + away).min(n - 1)]);
+    [median, 0.5 * (high - low)]
 }
 
 /// One packing at its onset.
@@ -171,9 +201,27 @@ pub fn onset_checks(comm: &Comm, seeds: u64, step: f64) -> Vec<Check> {
         ));
     }
     let [shape, _] = mean_and_error(packings.iter().map(|p| p.border_shape_parameter));
-    // of disks of two sizes
-    checks.push(Check::new(name("A of 3 sides"), super::plateau_shape_parameter(), shape, 1e-3));
+    // equal disks have the least, one small and two large ones the most
+    let [least, most] = [[1.0; 3], [1.0, 1.4, 1.4]].map(shape_parameter_between);
+    let middle = 0.5 * (least + most);
+    checks.push(Check::new(name("A of 3 sides"), middle, shape, (most - middle) / middle));
     checks
+}
+
+/// p²/4πa of the void between three disks of these radii that touch.
+fn shape_parameter_between(radii: [f64; 3]) -> f64 {
+    let sides = [0, 1, 2].map(|k| radii[(k + 1) % 3] + radii[(k + 2) % 3]);
+    let half = 0.5 * sides.iter().sum::<f64>();
+    let mut area = sides.iter().map(|side| half - side).product::<f64>();
+    area = (area * half).sqrt();
+    let mut perimeter = 0.0;
+    for k in 0..3 {
+        let [a, b, c] = [sides[k], sides[(k + 1) % 3], sides[(k + 2) % 3]];
+        let angle = ((b * b + c * c - a * a) / (2.0 * b * c)).acos();
+        perimeter += angle * radii[k];
+        area -= 0.5 * angle * radii[k] * radii[k];
+    }
+    perimeter * perimeter / (4.0 * PI * area)
 }
 
 /// Statistics of soft disks, in the long mode: at their onset; compressed far beyond it, where the paper's areas fail;
@@ -208,62 +256,122 @@ pub fn soft_disks(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>
     of(4, 1, "Eq. 12 less rho", 2e-3, 5e-4);
     of(2, 2, "A of 3 sides", 2.3, 0.05);
 
-    const INCREMENTS: [f64; 3] = [3e-3, 1e-2, 3e-2];
-    let rows = over_seeds(&comm, 1..=6, |seed| {
-        let (mut system, onset) = at_onset(1024, seed, 1e-3)?;
-        let mut row = [0.0; 6];
-        for (increment, row) in INCREMENTS.into_iter().zip(row.chunks_exact_mut(2)) {
-            compress_to(&mut system, &ConjugateGradient, &GOAL, onset.density + increment)?;
-            let z = Contacts::of(&mut system, Rattlers::default())?.contact_number();
-            let shear_modulus = Moduli::of(&mut system)?.mean_shear_modulus;
-            // in ε/σ_LS², σ_LS = 1.2 the mean diameter
-            row.copy_from_slice(&[(z - 4.0) / increment.sqrt(), 1.44 * shear_modulus / increment.sqrt()]);
-        }
-        Ok(row)
-    });
-    for (k, increment) in INCREMENTS.into_iter().enumerate() {
-        let of = |column: usize| mean_and_error(rows.iter().map(|row| row[2 * k + column]));
-        let name = |what: &str| format!("SP N = 1024, dphi = {increment}: {what}");
-        let ([z, z_error], [g, g_error]) = (of(0), of(1));
-        checks.push(Check::new(name("z0"), 3.7, z, 0.1 + 2.0 * z_error / 3.7));
-        checks.push(Check::new(name("G0"), 0.42, g, 0.1 + 2.0 * g_error / 0.42));
-    }
+    checks.extend(amplitude_checks(&comm));
     Ok(checks)
 }
 
-/// Statistics of deformable particles near confluence, in the long mode, δ = 0.1: means of G over seeds, and of the
-/// voids that are left nearly all have three sides.
+/// z₀ and G₀ (in ε/σ_LS², σ_LS = 1.2 the mean diameter) of one packing: least squares of z − z_J = z₀ √Δφ and
+/// G = G₀ √Δφ over Δφ = 0.01 to 0.11, unstable states left out.
+fn amplitudes(n: u32, seed: u64) -> Result<[f64; 2], ProtocolError> {
+    let (mut system, onset) = at_onset(n, seed, 1e-3)?;
+    let z_onset = Contacts::of(&mut system, Rattlers::default())?.contact_number();
+    let (mut products, mut squares) = ([0.0; 2], [0.0; 2]);
+    for k in 1..=11 {
+        let increment = 0.01 * k as f64;
+        compress_to(&mut system, &ConjugateGradient, &GOAL, onset.density + increment)?;
+        let z = Contacts::of(&mut system, Rattlers::default())?.contact_number();
+        products[0] += (z - z_onset) * increment.sqrt();
+        squares[0] += increment;
+        let moduli = Moduli::of(&mut system)?;
+        if moduli.stability == Stability::Stable {
+            products[1] += 1.44 * moduli.mean_shear_modulus * increment.sqrt();
+            squares[1] += increment;
+        }
+    }
+    Ok([products[0] / squares[0], products[1] / squares[1]])
+}
+
+/// The paper's amplitudes, to the digits that it gives. They come to their limits about as N^−1/2: from N = 32 to 1024
+/// G₀ rises from 0.20 to 0.37. So those of N = 1024 may miss the limit by as much as they are above those of N = 256,
+/// and 2 A(1024) − A(256) is the limit, both to two standard errors and the rounding.
+fn amplitude_checks(comm: &Comm) -> Vec<Check> {
+    const REFERENCE: [(&str, f64, f64); 2] = [("z0", 3.7, 0.05), ("G0", 0.42, 0.005)];
+    let (small, small_check) = with_result("SP N = 256", over_seeds(comm, 1..=128, |seed| amplitudes(256, seed)));
+    let (large, large_check) = with_result("SP N = 1024", over_seeds(comm, 1..=64, |seed| amplitudes(1024, seed)));
+    let mut checks = vec![small_check, large_check];
+    for (k, (what, expected, rounded)) in REFERENCE.into_iter().enumerate() {
+        let of = |rows: &[[f64; 2]]| mean_and_error(rows.iter().map(|row| row[k]));
+        let ([small, small_error], [large, large_error]) = (of(&small), of(&large));
+        let tolerance = rounded + 2.0 * large_error + (large - small).max(0.0);
+        checks.push(Check::new(format!("SP N = 1024: {what}"), expected, large, tolerance / expected));
+        let tolerance = rounded + 2.0 * small_error.hypot(2.0 * large_error);
+        let limit = 2.0 * large - small;
+        checks.push(Check::new(format!("SP N to infinity: {what}"), expected, limit, tolerance / expected));
+    }
+    checks
+}
+
+/// Statistics of deformable particles near confluence, in the long mode, with δ = 0.1 and the paper's stiffness.
+///
+/// A packing that is about to change neighbours has a G as far below zero as it is near to it, so that the mean of some
+/// packings is what the worst of them says; their median is compared, to two standard errors and the last digit of the
+/// reference. From ρ ≈ 0.97 on, read as 0.975, all voids that are left have three sides; to half a percent.
 pub fn deformable(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>, ProtocolError> {
     if effort == Effort::Quick {
         return Ok(Vec::new());
     }
-    const DENSITIES: [f64; 3] = [0.92, 0.95, 0.98];
-    const EXPECTED: [f64; 3] = [0.5, 0.65, 0.97];
-    const SEEDS: u64 = 4;
+    // ρ; G and what its last digit leaves open; P_3
+    type Reference = (f64, Option<[f64; 2]>, Option<f64>);
+    const REFERENCE: [Reference; 4] = [
+        (0.92, Some([0.5, 0.05]), None),
+        (0.95, Some([0.65, 0.005]), None),
+        (0.975, None, Some(1.0)),
+        (0.98, Some([0.97, 0.005]), Some(1.0)),
+    ];
+    const N: u32 = 64;
+    const SEEDS: u64 = 64;
     let comm = world();
     let rows = over_seeds(&comm, 1..=SEEDS, |seed| {
-        let mut system = random_polygons(Comm::alone(), 32, seed, 0.01)?;
-        let mut row = [0.0; 6];
-        let coarse = Goal { force_tolerance: 1e-2, max_iterations: 10_000_000 };
-        for density in [0.8, 0.84, 0.88, 0.9] {
-            compress_to(&mut system, &Fire, &coarse, density)?;
+        let mut system = random_polygons(Comm::alone(), N, seed, 1.1)?;
+        let coarse = Goal { force_tolerance: 1e-3, max_iterations: 300_000 };
+        for density in [0.86, 0.9] {
+            compress_to(&mut system, &Newton, &coarse, density)?;
         }
-        let goal = Goal { force_tolerance: 1e-7, max_iterations: 10_000_000 };
-        for (density, row) in DENSITIES.into_iter().zip(row.chunks_exact_mut(2)) {
-            compress_to(&mut system, &Fire, &goal, density)?;
+        let goal = Goal { force_tolerance: 1e-8, max_iterations: 300_000 };
+        let mut row = [0.0; 8];
+        for ((density, ..), row) in REFERENCE.into_iter().zip(row.chunks_exact_mut(2)) {
+            // shells grow as particles deform: again, to make up for it
+            for _ in 0..2 {
+                compress_to(&mut system, &Newton, &goal, density)?;
+            }
             let voids = Voids::of(&mut system, &[], None)?.statistics;
-            let g = Moduli::of(&mut system)?.mean_shear_modulus;
-            row.copy_from_slice(&[g, voids.fractions()[0]]);
+            row.copy_from_slice(&[Moduli::of(&mut system)?.mean_shear_modulus, voids.fractions()[0]]);
         }
         Ok(row)
     });
-    let mut checks = Vec::new();
-    for (k, (density, expected)) in DENSITIES.into_iter().zip(EXPECTED).enumerate() {
-        let [g, error] = mean_and_error(rows.iter().map(|row| row[2 * k]));
-        let name = |what: &str| format!("DP N = 32, rho = {density}, {SEEDS} seeds: {what}");
-        checks.push(Check::new(name("G"), expected, g, (0.01 + 2.0 * error) / expected));
+    let (rows, check) = with_result(&format!("DP N = {N}"), rows);
+    let mut checks = vec![check];
+    for (k, (density, modulus, three)) in REFERENCE.into_iter().enumerate() {
+        let name = |what: &str| format!("DP N = {N}, rho = {density}: {what}");
+        let of = |column: usize| rows.iter().map(move |row| row[2 * k + column]);
+        if let Some([expected, rounded]) = modulus {
+            let [g, error] = median_and_error(of(0));
+            checks.push(Check::new(name("median G"), expected, g, (rounded + 2.0 * error) / expected));
+        }
+        if let Some(expected) = three {
+            let [p, error] = mean_and_error(of(1));
+            checks.push(Check::new(name("voids with 3 sides"), expected, p, 0.005 + 2.0 * error));
+        }
     }
-    let [three, _] = mean_and_error(rows.iter().map(|row| row[5]));
-    checks.push(Check::new("DP rho = 0.98: voids with 3 sides", 1.0, three, 0.02));
     Ok(checks)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn touching_disks_enclose_a_plateau_border() {
+        let shape = shape_parameter_between([0.7; 3]);
+        assert!((shape / super::super::plateau_shape_parameter() - 1.0).abs() < 1e-12);
+        assert!((shape_parameter_between([1.0, 1.4, 1.4]) - 4.875442928013839).abs() < 1e-12);
+    }
+
+    #[test]
+    fn medians() {
+        assert_eq!(median_and_error([3.0, 1.0, 2.0, 9.0].into_iter()), [2.5, 4.0]);
+        let [median, error] = median_and_error((0..100).map(f64::from));
+        assert!(median == 49.5 && (5.0..=6.0).contains(&error));
+        assert!(median_and_error([1.0, f64::NAN].into_iter())[0].is_nan());
+    }
 }

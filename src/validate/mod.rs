@@ -2,8 +2,8 @@
 //! mode, against what is known of the means of many random packings.
 //!
 //! Every check runs the engine itself, over all ranks, and compares one number with what theory says. A tolerance is
-//! rounding where the formula holds for what is computed, and the measured error of discretisation where it is a limit
-//! of many vertices.
+//! rounding where the formula holds for what is computed; the next power where it is a limit, of hard contacts or many
+//! vertices; and two standard errors and the last digit of the reference where it is a mean over packings.
 
 mod border;
 mod ensemble;
@@ -54,9 +54,9 @@ impl Check {
 /// How fine the checks are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effort {
-    /// Less than a minute on one core.
+    /// Seconds on one core.
     Quick,
-    /// More vertices, smaller strains, more packings: some minutes.
+    /// More vertices, smaller strains, ensembles of packings: seven minutes.
     Long,
 }
 
