@@ -397,6 +397,22 @@ impl<M: Model> System<M> {
         Ok(())
     }
 
+    /// [`System::prepare`], with lists that hold all pairs in range and those that are farther apart by no more than
+    /// [`System::reach`]; whether they were built again, so that forces must be, too. Collective.
+    pub fn prepare_for_reach(&mut self) -> Result<bool, EngineError> {
+        self.prepare()?;
+        let holds = self.pbox == self.built_box && 2.0 * self.travel_bound <= self.skin - self.reach();
+        if !holds {
+            self.rebuild()?;
+        }
+        Ok(!holds)
+    }
+
+    /// Half of the skin.
+    pub fn reach(&self) -> f64 {
+        0.5 * self.skin
+    }
+
     /// Picks from the lists what can touch during the next steps, if points have moved farther than was foreseen.
     fn narrow(&mut self) {
         if self.since_narrowed > self.narrowed_for {

@@ -1,7 +1,7 @@
 use super::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, RUNAWAY, Report};
 use crate::comm::FusedSums;
 use crate::engine::{EngineError, System};
-use crate::geometry::{Vec2, dot, norm};
+use crate::geometry::{Vec2, add, dot, norm};
 use crate::model::Model;
 use crate::stiffness::{Cholesky, Stiffness, sums};
 
@@ -16,6 +16,10 @@ use crate::stiffness::{Cholesky, Stiffness, sums};
 /// ones; where the minimum itself disappears on the way, FIRE finds the next one. After a small change of a relaxed
 /// state Newton steps at full stiffness are tried first: they follow the minimum of before.
 ///
+/// With the contacts at its start alone a step ends at the next outline, and near the onset hundreds of them lead nowhere.
+/// Once that has been met with, steps minimise a quadratic form of the energy in which contacts push one way only: those
+/// that open on the way are left out and those that close are put in, chosen again up to [`CHOICES`] times.
+///
 /// Disks have nothing but contacts: conjugate gradients, then Newton steps at once.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Newton;
@@ -29,11 +33,21 @@ const HARDER_LEAST: f64 = 1.7;
 /// the unit of [`Model::force_unit`].
 const ON_THE_WAY: f64 = 1e-6;
 const ROUGH: f64 = 1e-4;
+/// Contacts harden when forces are balanced to this part of the pressure: below the onset, where nothing touches at the
+/// minimum, soft contacts vanish quickly, and hard ones bounce. Not more iterations than these are spent on it at once.
+const BALANCED: f64 = 1e-4;
+const BALANCING: u64 = 100_000;
+/// Polygons are relaxed by FIRE to this force, in the same unit; from there on its bounces off hard contacts cost more than
+/// the line searches of conjugate gradients.
+const FINE: f64 = 1e-5;
 /// Largest overlap of contacts, over [`Model::step_cap`], that forces may tell of for a change to count as small.
 const SMALL: f64 = 0.1;
-/// Newton steps after which a level counts as not reached, and after which without much progress.
+/// Newton steps after which a level counts as not reached.
 const STEPS: u32 = 60;
-const STEPS_IN_VAIN: u32 = 20;
+/// A step that ends before this part of it has met with something that its quadratic form does not know: from then on the
+/// contacts of each step are chosen again, so many times at most.
+const BLOCKED: f64 = 0.3;
+const CHOICES: u32 = 8;
 /// Factors that are tried for one step.
 const SHIFTS: u32 = 40;
 /// Shifts of the Hessian over the stiffest mode of the softest level: the smallest, below all that matters and above
@@ -100,6 +114,7 @@ impl Search<'_> {
         if !self.settle(system, ON_THE_WAY * self.unit)? {
             return Ok(false);
         }
+        self.balance_softly(system)?;
         let mut harder = HARDER;
         while level < 1.0 {
             let next = (harder * level).min(1.0);
@@ -120,23 +135,55 @@ impl Search<'_> {
         Ok(true)
     }
 
+    /// Relaxes soft contacts until forces are balanced to a small part of what contacts push with, or to what is balance
+    /// at full stiffness, too.
+    fn balance_softly<M: Model>(&mut self, system: &mut System<M>) -> Result<(), EngineError> {
+        let least = SOFTEST * self.goal.force_tolerance;
+        let mut tolerance = ON_THE_WAY * self.unit;
+        while tolerance > least {
+            let spacing = (system.pbox().area() / system.n_particles() as f64).sqrt();
+            let push = system.energies()?.pressure() * spacing;
+            tracing::debug!(push, tolerance, "soft contacts");
+            if tolerance <= BALANCED * push {
+                break;
+            }
+            tolerance = (0.01 * tolerance).max(least);
+            let (pbox, before) = (*system.pbox(), system.own_particles());
+            if self.newton(system, tolerance, 1.0)? {
+                continue;
+            }
+            system.restore(pbox, before);
+            let left = self.goal.max_iterations.saturating_sub(self.report.iterations);
+            if !self.rest(system, &Goal { force_tolerance: tolerance, max_iterations: left.min(BALANCING) })? {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// By FIRE or conjugate gradients alone.
+    fn rest<M: Model>(&mut self, system: &mut System<M>, goal: &Goal) -> Result<bool, EngineError> {
+        let by_fire = M::BODIES && goal.force_tolerance >= FINE * self.unit;
+        let minimized =
+            if by_fire { Fire.minimize(system, goal)? } else { ConjugateGradient.minimize(system, goal)? };
+        let Report { iterations, force_evaluations, max_force } = *minimized.report();
+        self.report.iterations += iterations;
+        self.report.force_evaluations += force_evaluations;
+        self.report.max_force = max_force;
+        tracing::debug!(iterations, max_force, "relaxed roughly");
+        Ok(minimized.is_converged())
+    }
+
     /// Down to a minimum from wherever the system is; false when the iterations do not suffice.
     fn settle<M: Model>(&mut self, system: &mut System<M>, tolerance: f64) -> Result<bool, EngineError> {
         let mut rough = ROUGH * self.unit;
         loop {
             let left = self.goal.max_iterations.saturating_sub(self.report.iterations);
             let goal = Goal { force_tolerance: rough.max(tolerance), max_iterations: left };
-            let minimized =
-                if M::BODIES { Fire.minimize(system, &goal)? } else { ConjugateGradient.minimize(system, &goal)? };
-            let Report { iterations, force_evaluations, max_force } = *minimized.report();
-            self.report.iterations += iterations;
-            self.report.force_evaluations += force_evaluations;
-            self.report.max_force = max_force;
-            tracing::debug!(iterations, max_force, "relaxed roughly");
-            if !minimized.is_converged() {
+            if !self.rest(system, &goal)? {
                 return Ok(false);
             }
-            if max_force <= tolerance || self.newton(system, tolerance, 1.0)? {
+            if self.report.max_force <= tolerance || self.newton(system, tolerance, 1.0)? {
                 return Ok(true);
             }
             rough *= 0.1;
@@ -154,47 +201,66 @@ impl Search<'_> {
         let cap = LONGEST * system.model.step_cap();
         let least = SHIFT_LEAST * self.stiffest;
         let mut shift = least;
-        let (mut lowest, mut in_vain) = (f64::INFINITY, 0);
+        let mut looks_ahead = false;
         let mut max_force = self.forces(system)?;
         for _ in 0..STEPS {
             if max_force <= tolerance {
                 return Ok(true);
             }
-            if max_force < 0.7 * lowest {
-                (lowest, in_vain) = (max_force, 0);
-            }
-            in_vain += 1;
-            if in_vain > STEPS_IN_VAIN || self.report.iterations >= self.goal.max_iterations {
+            if self.report.iterations >= self.goal.max_iterations {
                 return Ok(false);
             }
             self.report.iterations += 1;
-            let stiffness = Stiffness::of(system, prestress)?;
-            prestress = 1.0;
-            let Some((direction, longest)) = self.direction(system, &stiffness, &mut shift, cap) else {
+            if system.prepare_for_reach()? {
+                self.forces(system)?;
+            }
+            let mut form = (Stiffness::of(system, prestress)?, vec![[0.0; 2]; system.forces().len()]);
+            let Some((mut direction, mut longest)) = self.direction(system, &form, &mut shift, cap) else {
                 return Ok(false);
             };
+            let (plain, mut settled) = ((direction.clone(), longest), !looks_ahead);
+            for _ in 0..if looks_ahead { CHOICES } else { 0 } {
+                let next = Stiffness::ahead(system, prestress, &mut direction);
+                settled = !system.comm.any(next != form);
+                if settled {
+                    break;
+                }
+                form = next;
+                let Some(better) = self.direction(system, &form, &mut shift, cap) else { break };
+                (direction, longest) = better;
+            }
+            prestress = 1.0;
+            direction.truncate(system.forces().len());
+            // only a minimum of the form is sure to lie downhill
+            if !settled && slope(system, &direction) <= 0.0 {
+                (direction, longest) = plain;
+            }
             let (length, last) = self.along(system, direction, longest, cap, tolerance)?;
             tracing::trace!(shift, longest, length, max_force = last, "Newton step");
-            if length > 0.3 && last < max_force {
+            if length > BLOCKED {
                 shift = (SHIFT_FALL * shift).max(least);
+            } else {
+                looks_ahead = M::BODIES;
             }
             max_force = last;
         }
         Ok(max_force <= tolerance)
     }
 
-    /// The Newton step, with the smallest shift from `shift` on that keeps it short, and the longest displacement in it.
+    /// The minimum of a quadratic form of the energy, given by its Hessian and what its forces differ from the present
+    /// ones, with the smallest shift from `shift` on that keeps the step short; and the longest displacement in it.
     fn direction<M: Model>(
         &mut self,
         system: &System<M>,
-        stiffness: &Stiffness,
+        (stiffness, changes): &(Stiffness, Vec<Vec2>),
         shift: &mut f64,
         cap: f64,
     ) -> Option<(Vec<Vec2>, f64)> {
         self.cholesky.load(system, stiffness);
         for _ in 0..SHIFTS {
             if self.cholesky.factorize(&system.comm, *shift) {
-                let direction = self.cholesky.solve(system, system.forces());
+                let forces: Vec<Vec2> = system.forces().iter().zip(changes).map(|(&f, &c)| add(f, c)).collect();
+                let direction = self.cholesky.solve(system, &forces);
                 let longest = system.comm.max(direction.iter().map(|&v| norm(v)).fold(0.0, f64::max));
                 if longest <= LONGEST * cap {
                     return Some((direction, longest));
@@ -218,13 +284,7 @@ impl Search<'_> {
         tolerance: f64,
     ) -> Result<(f64, f64), EngineError> {
         system.carry_these(direction);
-        let mut fused = FusedSums::default();
-        let mut slope = |system: &System<M>| {
-            let (forces, directions) = (system.forces(), &system.particles().carried[0]);
-            let [slope] = sums(system, &mut fused, |i| [dot(forces[i], directions[i])]);
-            slope
-        };
-        let first = slope(system);
+        let first = slope(system, &system.particles().carried[0]);
         let mut here = 0.0f64;
         let mut next = (cap / longest).min(1.0);
         let (mut before, mut beyond) = ((0.0, first), None);
@@ -237,7 +297,7 @@ impl Search<'_> {
             });
             here = next;
             let max_force = self.forces(system)?;
-            let now = slope(system);
+            let now = slope(system, &system.particles().carried[0]);
             if max_force <= tolerance || now.abs() <= SLOPE * first || trial == TRIALS {
                 return Ok((here, max_force));
             }
@@ -267,4 +327,11 @@ impl Search<'_> {
         }
         Ok(max_force)
     }
+}
+
+/// −dU/dt of own points that move by `directions` t.
+fn slope<M: Model>(system: &System<M>, directions: &[Vec2]) -> f64 {
+    let forces = system.forces();
+    let [slope] = sums(system, &mut FusedSums::default(), |i| [dot(forces[i], directions[i])]);
+    slope
 }

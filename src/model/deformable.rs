@@ -1,5 +1,5 @@
 use super::stiffness::{Block, Elastic, TouchStiffness, add_elastic, along_and_across, scaled, strained, times};
-use super::{Harmonic, Model, Outline, Terms, View, add_outer, rigid};
+use super::{Ahead, Harmonic, Model, Outline, Terms, View, add_outer, rigid};
 use crate::geometry::{PeriodicBox, Polygon, Vec2, add, cross, dot, norm, scale, sub};
 use crate::neighbor::{Candidates, PointList};
 use crate::particles::{Bodies, Particles};
@@ -119,6 +119,46 @@ impl<C: Contact> Deformable<C> {
             ];
             (after, after_pull) = (before, before_pull);
         }
+    }
+
+    /// Line and area terms of [`Model::stiffness`].
+    fn shape_stiffness(&self, view: &View<C::List>, p: usize, add: &mut impl FnMut(usize, u32, Block)) {
+        let DeformableParameters { line_tension, k_area, .. } = self.parameters;
+        let first = view.particles.bodies.points(p).start;
+        let polygon = Polygon::from_vertices(view.pbox, view.particles.points_of(p));
+        let n = polygon.edges.len();
+        // ∂²a/∂x_i∂x_{i+1} is half a turn by 90°
+        let half = 0.5 * k_area * (polygon.area() - view.particles.size[p]);
+        for (i, &edge) in polygon.edges.iter().enumerate() {
+            let j = if i + 1 < n { i + 1 } else { 0 };
+            let (here, next) = ((first + i) as u32, (first + j) as u32);
+            let length = norm(edge);
+            if length > 0.0 {
+                let block = along_and_across(scale(1.0 / length, edge), 0.0, line_tension / length);
+                add(i, here, block);
+                add(j, next, block);
+                add(i, next, scaled(-1.0, block));
+                add(j, here, scaled(-1.0, block));
+            }
+            add(i, next, [0.0, half, -half, 0.0]);
+            add(j, here, [0.0, -half, half, 0.0]);
+        }
+    }
+
+    /// What one touch of a particle adds to [`Model::stiffness`].
+    fn touch_stiffness(
+        &self,
+        view: &View<C::List>,
+        p: usize,
+        touch: &Touch,
+        prestress: f64,
+        add: &mut impl FnMut(usize, u32, Block),
+    ) {
+        let first = view.particles.bodies.points(p).start;
+        let who = [touch.ours[0].0, touch.ours[1].0].map(|k| (first + k) as u32);
+        let columns = [who[0], who[1], touch.theirs[0].0, touch.theirs[1].0];
+        TouchStiffness::of(self.parameters.contact, touch, prestress)
+            .rows(touch, |k, column, block| add(touch.ours[k].0, columns[column], block));
     }
 }
 
@@ -242,31 +282,50 @@ impl<C: Contact> Model for Deformable<C> {
     }
 
     fn stiffness(&self, view: &View<C::List>, p: usize, prestress: f64, mut add: impl FnMut(usize, u32, Block)) {
-        let DeformableParameters { line_tension, k_area, contact, .. } = self.parameters;
+        self.shape_stiffness(view, p, &mut add);
+        C::for_each_touch(self.parameters.contact, view, p, |touch| {
+            self.touch_stiffness(view, p, &touch, prestress, &mut add);
+        });
+    }
+
+    fn stiffness_ahead(
+        &self,
+        view: &View<C::List>,
+        p: usize,
+        prestress: f64,
+        ahead: &Ahead,
+        mut add: impl FnMut(usize, u32, Block),
+        mut push: impl FnMut(usize, Vec2),
+    ) {
+        self.shape_stiffness(view, p, &mut add);
+        let law = self.parameters.contact;
         let first = view.particles.bodies.points(p).start;
-        let polygon = Polygon::from_vertices(view.pbox, view.particles.points_of(p));
-        let n = polygon.edges.len();
-        // ∂²a/∂x_i∂x_{i+1} is half a turn by 90°
-        let half = 0.5 * k_area * (polygon.area() - view.particles.size[p]);
-        for (i, &edge) in polygon.edges.iter().enumerate() {
-            let j = if i + 1 < n { i + 1 } else { 0 };
-            let (here, next) = ((first + i) as u32, (first + j) as u32);
-            let length = norm(edge);
-            if length > 0.0 {
-                let block = along_and_across(scale(1.0 / length, edge), 0.0, line_tension / length);
-                add(i, here, block);
-                add(j, next, block);
-                add(i, next, scaled(-1.0, block));
-                add(j, here, scaled(-1.0, block));
+        let moved = |point: usize, weight: f64| scale(weight, ahead.displacement[point]);
+        C::for_each_touch(Harmonic { delta: law.delta + ahead.reach, ..law }, view, p, |mut touch| {
+            let d = norm(touch.separation);
+            if d == 0.0 {
+                return;
             }
-            add(i, next, [0.0, half, -half, 0.0]);
-            add(j, here, [0.0, -half, half, 0.0]);
-        }
-        C::for_each_touch(contact, view, p, |touch| {
-            let who = [touch.ours[0].0, touch.ours[1].0].map(|k| (first + k) as u32);
-            let columns = [who[0], who[1], touch.theirs[0].0, touch.theirs[1].0];
-            TouchStiffness::of(contact, &touch, prestress)
-                .rows(&touch, |k, column, block| add(touch.ours[k].0, columns[column], block));
+            let n = scale(1.0 / d, touch.separation);
+            let ours = touch.ours.map(|(k, weight)| moved(first + k, weight));
+            let theirs = touch.theirs.map(|(point, weight)| moved(point as usize, weight));
+            // the same bits, with the other sign, as seen from the other particle
+            let parting = [0, 1].map(|k| (ours[0][k] + ours[1][k]) - (theirs[0][k] + theirs[1][k]));
+            let overlap = law.delta - d;
+            let stays = overlap - dot(n, parting) > 0.0;
+            let sign = if touch.energy < 0.0 { -1.0 } else { 1.0 };
+            let force = scale(sign * law.epsilon * overlap / (law.delta * law.delta), n);
+            let touches = overlap > 0.0;
+            if stays != touches {
+                let change = if stays { force } else { scale(-1.0, force) };
+                for (point, weight) in touch.ours {
+                    push(point, scale(weight, change));
+                }
+            }
+            if stays {
+                touch.force = if touches { force } else { [0.0; 2] };
+                self.touch_stiffness(view, p, &touch, if touches { prestress } else { 0.0 }, &mut add);
+            }
         });
     }
 

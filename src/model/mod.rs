@@ -79,6 +79,15 @@ pub enum Outline {
     },
 }
 
+/// Where points may soon be.
+#[derive(Clone, Copy, Debug)]
+pub struct Ahead<'a> {
+    /// Of each own point, then each foreign one.
+    pub displacement: &'a [Vec2],
+    /// Outlines that are farther apart than a contact by more than this are not looked at.
+    pub reach: f64,
+}
+
 /// An energy that is a function of positions alone and has a force everywhere: what the minimisers ask for.
 pub trait Model: Copy + Send + Sync {
     type List: PointList + Default;
@@ -144,6 +153,22 @@ pub trait Model: Copy + Send + Sync {
     /// counted from the particle's first. Blocks of one row and column add up. [`Model::area_stiffness`] is not in it.
     /// The part that contact forces contribute by turning (pre-stress) is multiplied by `prestress`.
     fn stiffness(&self, view: &View<Self::List>, particle: usize, prestress: f64, add: impl FnMut(usize, u32, Block));
+
+    /// The same where contacts are those that are left or made when points move by the displacements of `ahead`, as long
+    /// as outlines are straight lines there: contacts that open are left out, those that close are put in, and
+    /// `push(point, force)` tells what the forces change by in a quadratic form of the energy with these contacts. Disks
+    /// keep the contacts they have.
+    fn stiffness_ahead(
+        &self,
+        view: &View<Self::List>,
+        particle: usize,
+        prestress: f64,
+        _ahead: &Ahead,
+        add: impl FnMut(usize, u32, Block),
+        _push: impl FnMut(usize, Vec2),
+    ) {
+        self.stiffness(view, particle, prestress, add);
+    }
 
     /// The same energy with contacts that are softer by a factor, all else unchanged; nothing where contacts are all
     /// there is, and softer ones the same in another unit.

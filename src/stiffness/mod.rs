@@ -13,11 +13,12 @@ pub use solve::{Goal, Solution, solve, sums};
 
 use crate::engine::{EngineError, System};
 use crate::geometry::{Polygon, Vec2, add, dot, scale, sub};
-use crate::model::{Block, Elastic, Model, strained, times};
+use crate::model::{Ahead, Block, Elastic, Model, strained, times};
 use crate::particles::Particles;
 use crate::threads;
 
 /// H = ∂²U/∂x∂x in the present state of a system, for its present lists.
+#[derive(PartialEq)]
 pub struct Stiffness {
     /// Where the entries of each own point's row begin.
     start: Vec<usize>,
@@ -32,7 +33,33 @@ impl Stiffness {
     /// Assembles H, the part that the present contact forces contribute (pre-stress) times `prestress`. Collective.
     pub fn of<M: Model>(system: &mut System<M>, prestress: f64) -> Result<Self, EngineError> {
         system.prepare()?;
-        let (view, particles) = (system.view(), system.particles());
+        let (view, model) = (system.view(), &system.model);
+        Ok(Self::assemble(system, |p, rows, _| {
+            model.stiffness(&view, p, prestress, |point, column, block| rows[point].push((column, block)));
+        })
+        .0)
+    }
+
+    /// The same with the contacts that are left when own points move by `displacement`
+    /// ([`Model::stiffness_ahead`]), and by how much the forces on the own points then differ. Call
+    /// [`System::prepare_for_reach`] first. Collective.
+    pub fn ahead<M: Model>(system: &mut System<M>, prestress: f64, displacement: &mut Vec<Vec2>) -> (Self, Vec<Vec2>) {
+        system.refresh(displacement);
+        let (view, model) = (system.view(), &system.model);
+        let ahead = Ahead { displacement, reach: system.reach() };
+        Self::assemble(system, |p, rows, changes| {
+            let add = |point: usize, column, block| rows[point].push((column, block));
+            let push = |point: usize, force: Vec2| changes[point] = self::add(changes[point], force);
+            model.stiffness_ahead(&view, p, prestress, &ahead, add, push);
+        })
+    }
+
+    /// `visit(particle, rows, changes)` adds the blocks of a particle's rows and the changes of the forces on its points.
+    fn assemble<M: Model>(
+        system: &System<M>,
+        visit: impl Fn(usize, &mut [Vec<(u32, Block)>], &mut [Vec2]) + Sync,
+    ) -> (Self, Vec<Vec2>) {
+        let (view, particles, model) = (system.view(), system.particles(), &system.model);
         let name = names(particles); // the order of sums
 
         let parts = threads::map(system.chunks(), |chunk| {
@@ -40,10 +67,12 @@ impl Stiffness {
             let mut gradient = vec![[0.0; 2]; if M::BODIES { chunk.points.len() } else { 0 }];
             let mut weight = 0.0;
             let mut rows: Vec<Vec<(u32, Block)>> = Vec::new();
+            let mut changes = vec![[0.0; 2]; chunk.points.len()];
             for p in chunk.particles.clone() {
                 let points = particles.bodies.points(p);
                 rows.resize(rows.len().max(points.len()), Vec::new());
-                system.model.stiffness(&view, p, prestress, |point, column, block| rows[point].push((column, block)));
+                let mine = points.start - chunk.points.start..points.end - chunk.points.start;
+                visit(p, &mut rows, &mut changes[mine]);
                 for row in &mut rows[..points.len()] {
                     row.sort_by_key(|&(column, _)| name[column as usize]); // stable: a sum keeps its order
                     let before = entries.len();
@@ -57,23 +86,25 @@ impl Stiffness {
                 }
                 if M::BODIES {
                     let mine = points.start - chunk.points.start..points.end - chunk.points.start;
-                    weight = system.model.area_stiffness(&view, p, &mut gradient[mine]);
+                    weight = model.area_stiffness(&view, p, &mut gradient[mine]);
                 }
             }
-            (lengths, entries, gradient, weight)
+            (lengths, entries, gradient, weight, changes)
         });
         let mut whole =
             Stiffness { start: vec![0], entries: Vec::new(), area_gradient: Vec::new(), area_stiffness: 0.0 };
         whole.entries.reserve_exact(parts.iter().map(|part| part.1.len()).sum());
-        for (lengths, entries, gradient, weight) in parts {
+        let mut changes = Vec::new();
+        for (lengths, entries, gradient, weight, chunk_changes) in parts {
             for length in lengths {
                 whole.start.push(whole.start.last().map_or(0, |s| s + length));
             }
             whole.entries.extend(entries);
             whole.area_gradient.extend(gradient);
             whole.area_stiffness = weight;
+            changes.extend(chunk_changes);
         }
-        Ok(whole)
+        (whole, changes)
     }
 
     /// Visits all blocks in the rows of own points, a diagonal one of each point among them, by the global names of
