@@ -27,12 +27,17 @@ pub struct Onset {
     pub steps: u64,
 }
 
+/// Largest force at which a state on the way counts as balanced, over that of the least pressure of a jammed state on a
+/// particle.
+const ROUGH: f64 = 0.1;
+
 /// Compresses until the system jams, decompresses until it does not, with ever smaller increments, and leaves it in a
 /// marginally jammed state.
 ///
 /// What decides is the pressure of a force-balanced state. An energy would not do for deformable particles, whose
-/// energy is never zero; and a state that is not balanced decides nothing, it ends the search with an error. `visit`
-/// sees every minimised state.
+/// energy is never zero; and a state that is not balanced decides nothing, it ends the search with an error. On the way
+/// forces count as balanced when they are [`ROUGH`] of what the pressure of a jammed state needs, since just below the
+/// onset overlaps vanish slowly; the state that is returned is balanced to `goal`. `visit` sees every state on the way.
 pub fn find_onset<M: Model>(
     system: &mut System<M>,
     minimizer: &impl Minimizer,
@@ -48,16 +53,24 @@ pub fn find_onset<M: Model>(
     let mut jammed: Option<(f64, f64)> = None;
     let mut steps = 0;
     loop {
-        let report = compress_to(system, minimizer, goal, density)?;
+        let spacing = (system.pbox().area() / system.n_particles() as f64).sqrt();
+        let rough = Goal { force_tolerance: goal.force_tolerance.max(ROUGH * search.pressure[0] * spacing), ..*goal };
+        let mut report = compress_to(system, minimizer, &rough, density)?;
+        let mut energies = system.energies()?;
+        let is_last = |pressure: f64| search.pressure[0] < pressure && pressure <= search.pressure[1];
+        if is_last(energies.pressure()) && unjammed < density {
+            density = system.density()?;
+            report = compress_to(system, minimizer, goal, density)?;
+            energies = system.energies()?;
+        }
         density = system.density()?;
         steps += 1;
-        let energies = system.energies()?;
         let pressure = energies.pressure();
         visit(density, &energies, &report);
-        let is_jammed = pressure > search.pressure[0];
-        if is_jammed && pressure <= search.pressure[1] && unjammed < density {
+        if is_last(pressure) && report.max_force <= goal.force_tolerance && unjammed < density {
             return Ok(Onset { density, unjammed, pressure, steps });
         }
+        let is_jammed = pressure > search.pressure[0];
         if step < search.smallest_step {
             return Err(ProtocolError::NoOnset { density, step, pressure });
         }
