@@ -199,6 +199,11 @@ impl<M: Model> System<M> {
         self.comm.sum_count(self.particles.len() as u64)
     }
 
+    /// Edge of the square that a particle has to itself.
+    pub fn spacing(&self) -> f64 {
+        (self.pbox.area() / self.n_particles() as f64).sqrt()
+    }
+
     /// Number of points on all ranks.
     pub fn n_points(&self) -> u64 {
         self.comm.sum_count(self.particles.owned_points() as u64)

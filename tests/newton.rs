@@ -7,7 +7,8 @@ use jamhpc::minimize::{Fire, Goal, Minimized, Minimizer, Newton, Report};
 use jamhpc::model::{Deformable, DeformableParameters, Harmonic, SoftDisks, VertexEdge};
 use jamhpc::observe::check_no_crossing;
 use jamhpc::particles::{Bodies, Particles};
-use jamhpc::protocol::{Species, compress_to, deformable_particles};
+use jamhpc::protocol::{OnsetSearch, Species, compress_to, deformable_particles, find_onset};
+use jamhpc::stiffness::Stiffness;
 
 type Packing = System<Deformable<VertexEdge>>;
 
@@ -19,7 +20,7 @@ fn goal(force_tolerance: f64) -> Goal {
 
 /// 16 particles at rho = 0.7; `stiffness` is that of contacts over that of areas, 1.1 for the paper's and 0.01 for
 /// soft ones.
-fn dilute(stiffness: f64) -> Packing {
+fn dilute(stiffness: f64, seed: u64) -> Packing {
     let small = (24.0f64 / 29.0).powi(2);
     let large = small * (17.0f64 / 12.0).powi(2);
     let species =
@@ -27,7 +28,7 @@ fn dilute(stiffness: f64) -> Packing {
     let k_area = 1000.0 / (small * small);
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(DELTA)).sum();
     let at = |density: f64| PeriodicBox::square((area / density).sqrt());
-    let (comm, polygons) = deformable_particles(Comm::alone(), at(0.7), &species, 1, DELTA).unwrap();
+    let (comm, polygons) = deformable_particles(Comm::alone(), at(0.7), &species, seed, DELTA).unwrap();
     let model = Deformable::new(DeformableParameters {
         line_tension: 1.0,
         k_area,
@@ -53,7 +54,7 @@ fn relaxed(minimized: Minimized) -> Report {
 
 #[test]
 fn stiff_contacts_relax_to_rounding_in_few_evaluations() {
-    let mut packing = dilute(1.1);
+    let mut packing = dilute(1.1, 1);
     let tolerance = 1e-12 * packing.model.parameters.contact.epsilon;
     for density in [0.75, 0.80, 0.85, 0.88, 0.92, 0.95] {
         let report = compress_to(&mut packing, &Newton, &goal(tolerance), density).unwrap();
@@ -68,7 +69,7 @@ fn stiff_contacts_relax_to_rounding_in_few_evaluations() {
 
 #[test]
 fn a_small_compression_ends_in_the_minimum_that_fire_finds() {
-    let mut packing = dilute(0.01);
+    let mut packing = dilute(0.01, 1);
     for density in [0.78, 0.84, 0.90] {
         compress_to(&mut packing, &Newton, &goal(1e-9), density).unwrap();
     }
@@ -85,7 +86,7 @@ fn a_small_compression_ends_in_the_minimum_that_fire_finds() {
 
 #[test]
 fn a_floppy_state_is_left_without_contact_energy() {
-    let mut packing = dilute(1.1);
+    let mut packing = dilute(1.1, 1);
     packing.deform_rigidly(packing.pbox().with_area(0.97 * packing.pbox().area()));
     let report = relaxed(Newton.minimize(&mut packing, &goal(1e-9)).unwrap());
     assert!(report.force_evaluations < 10_000, "{report:?}");
@@ -94,7 +95,7 @@ fn a_floppy_state_is_left_without_contact_energy() {
 
 #[test]
 fn the_potential_is_the_same_afterwards() {
-    let mut packing = dilute(1.1);
+    let mut packing = dilute(1.1, 1);
     let before = packing.model;
     packing.deform_rigidly(packing.pbox().with_area(0.9 * packing.pbox().area()));
     for iterations in [0, 3, 500, 2000] {
@@ -106,6 +107,62 @@ fn the_potential_is_the_same_afterwards() {
     }
     packing.model.parameters.line_tension = f64::NAN;
     assert!(matches!(Newton.minimize(&mut packing, &goal(1e-9)), Err(EngineError::Runaway { .. })));
+}
+
+#[test]
+fn forces_are_foreseen_where_contacts_open_and_close() {
+    let mut packing = dilute(1.1, 1);
+    for density in [0.78, 0.84, 0.90] {
+        compress_to(&mut packing, &Newton, &goal(1e-9), density).unwrap();
+    }
+    // far more than the overlaps of hard contacts, far less than the outlines' edges
+    let step = |k: usize, start: f64| 1e-5 * (2.0 * (start + k as f64 * 0.754_877_666).fract() - 1.0);
+    let shake = |packing: &mut Packing, start: f64| {
+        let n = packing.forces().len();
+        let moves: Vec<Vec2> = (0..n).map(|k| [step(2 * k, start), step(2 * k + 1, start)]).collect();
+        packing.carry_these(moves.clone());
+        packing.move_points(2e-5, |pbox, positions, moves, _| {
+            positions.iter_mut().zip(moves).for_each(|(position, &mut by)| *position = pbox.moved(*position, by));
+        });
+        moves
+    };
+    shake(&mut packing, 0.1);
+    packing.max_force().unwrap();
+    packing.prepare_for_reach().unwrap();
+    packing.max_force().unwrap();
+    let (pbox, here, before) = (*packing.pbox(), packing.own_particles(), packing.forces().to_vec());
+    let moves = shake(&mut packing, 0.6);
+    packing.max_force().unwrap();
+    let after = packing.forces().to_vec();
+    packing.restore(pbox, here);
+    packing.max_force().unwrap();
+    packing.prepare_for_reach().unwrap();
+    packing.max_force().unwrap();
+    assert_eq!(packing.forces(), before, "stored in the same order");
+    let ahead = Stiffness::ahead(&mut packing, 1.0, &moves);
+    let plain = (Stiffness::of(&mut packing, 1.0).unwrap(), vec![[0.0; 2]; before.len()]);
+    let [ahead, plain] = [ahead, plain].map(|(form, changes)| {
+        let mut product = vec![[[0.0; 2]]; before.len()];
+        form.product(&mut packing, &mut moves.iter().map(|&m| [m]).collect(), &mut product);
+        let foreseen = |i: usize, k: usize| before[i][k] + changes[i][k] - product[i][0][k];
+        (0..before.len()).flat_map(|i| [0, 1].map(|k| (after[i][k] - foreseen(i, k)).abs())).fold(0.0, f64::max)
+    });
+    assert!(plain > 0.1, "contacts open or close: {plain}");
+    assert!(ahead < 1e-3 * plain, "{ahead} {plain}");
+}
+
+#[test]
+fn a_stiff_packing_comes_to_its_onset() {
+    let search = OnsetSearch { step: 0.01, smallest_step: 1e-8, pressure: [1e-6, 1e-4] };
+    for seed in 1..=3 {
+        let mut packing = dilute(1.1, seed);
+        let onset = find_onset(&mut packing, &Newton, &goal(1e-9), &search, |_, _, _| ()).unwrap();
+        assert!(onset.unjammed < onset.density, "{onset:?}");
+        // states on the way need not be so well balanced, the last must
+        assert!(packing.max_force().unwrap() <= 1e-9, "{onset:?}");
+        let pressure = packing.energies().unwrap().pressure();
+        assert!(pressure == onset.pressure && (1e-6..1e-4).contains(&pressure), "{onset:?}");
+    }
 }
 
 #[test]

@@ -141,8 +141,7 @@ impl Search<'_> {
         let least = SOFTEST * self.goal.force_tolerance;
         let mut tolerance = ON_THE_WAY * self.unit;
         while tolerance > least {
-            let spacing = (system.pbox().area() / system.n_particles() as f64).sqrt();
-            let push = system.energies()?.pressure() * spacing;
+            let push = system.energies()?.pressure() * system.spacing();
             tracing::debug!(push, tolerance, "soft contacts");
             if tolerance <= BALANCED * push {
                 break;
@@ -211,31 +210,19 @@ impl Search<'_> {
                 return Ok(false);
             }
             self.report.iterations += 1;
-            if system.prepare_for_reach()? {
+            if looks_ahead && system.prepare_for_reach()? {
                 self.forces(system)?;
             }
-            let mut form = (Stiffness::of(system, prestress)?, vec![[0.0; 2]; system.forces().len()]);
-            let Some((mut direction, mut longest)) = self.direction(system, &form, &mut shift, cap) else {
+            let form = (Stiffness::of(system, prestress)?, vec![[0.0; 2]; system.forces().len()]);
+            let Some(mut step) = self.direction(system, &form, &mut shift, cap) else {
                 return Ok(false);
             };
-            let (plain, mut settled) = ((direction.clone(), longest), !looks_ahead);
-            for _ in 0..if looks_ahead { CHOICES } else { 0 } {
-                let next = Stiffness::ahead(system, prestress, &mut direction);
-                settled = !system.comm.any(next != form);
-                if settled {
-                    break;
-                }
-                form = next;
-                let Some(better) = self.direction(system, &form, &mut shift, cap) else { break };
-                (direction, longest) = better;
+            if looks_ahead {
+                step = self.ahead(system, form, step, prestress, &mut shift, cap);
             }
             prestress = 1.0;
-            direction.truncate(system.forces().len());
-            // only a minimum of the form is sure to lie downhill
-            if !settled && slope(system, &direction) <= 0.0 {
-                (direction, longest) = plain;
-            }
-            let (length, last) = self.along(system, direction, longest, cap, tolerance)?;
+            let longest = step.1;
+            let (length, last) = self.along(system, step, cap, tolerance)?;
             tracing::trace!(shift, longest, length, max_force = last, "Newton step");
             if length > BLOCKED {
                 shift = (SHIFT_FALL * shift).max(least);
@@ -245,6 +232,30 @@ impl Search<'_> {
             max_force = last;
         }
         Ok(max_force <= tolerance)
+    }
+
+    /// The step with the contacts that it opens and closes, from `form` and `plain`, that with the present ones; `plain` if
+    /// contacts do not settle and it leads uphill, as only the minimum of a form is sure not to.
+    fn ahead<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        mut form: (Stiffness, Vec<Vec2>),
+        plain: (Vec<Vec2>, f64),
+        prestress: f64,
+        shift: &mut f64,
+        cap: f64,
+    ) -> (Vec<Vec2>, f64) {
+        let mut step = plain.clone();
+        for _ in 0..CHOICES {
+            let next = Stiffness::ahead(system, prestress, &step.0);
+            if !system.comm.any(next != form) {
+                return step;
+            }
+            form = next;
+            let Some(better) = self.direction(system, &form, shift, cap) else { break };
+            step = better;
+        }
+        if slope(system, &step.0) > 0.0 { step } else { plain }
     }
 
     /// The minimum of a quadratic form of the energy, given by its Hessian and what its forces differ from the present
@@ -278,8 +289,7 @@ impl Search<'_> {
     fn along<M: Model>(
         &mut self,
         system: &mut System<M>,
-        direction: Vec<Vec2>,
-        longest: f64,
+        (direction, longest): (Vec<Vec2>, f64),
         cap: f64,
         tolerance: f64,
     ) -> Result<(f64, f64), EngineError> {

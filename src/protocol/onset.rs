@@ -53,21 +53,22 @@ pub fn find_onset<M: Model>(
     let mut jammed: Option<(f64, f64)> = None;
     let mut steps = 0;
     loop {
-        let spacing = (system.pbox().area() / system.n_particles() as f64).sqrt();
-        let rough = Goal { force_tolerance: goal.force_tolerance.max(ROUGH * search.pressure[0] * spacing), ..*goal };
+        let least = search.pressure[0] * system.spacing();
+        let rough = Goal { force_tolerance: goal.force_tolerance.max(ROUGH * least), ..*goal };
         let mut report = compress_to(system, minimizer, &rough, density)?;
+        density = system.density()?;
         let mut energies = system.energies()?;
-        let is_last = |pressure: f64| search.pressure[0] < pressure && pressure <= search.pressure[1];
-        if is_last(energies.pressure()) && unjammed < density {
-            density = system.density()?;
+        let is_marginal = |pressure: f64| search.pressure[0] < pressure && pressure <= search.pressure[1];
+        let may_end = is_marginal(energies.pressure()) && unjammed < density;
+        if may_end {
             report = compress_to(system, minimizer, goal, density)?;
+            density = system.density()?;
             energies = system.energies()?;
         }
-        density = system.density()?;
         steps += 1;
         let pressure = energies.pressure();
         visit(density, &energies, &report);
-        if is_last(pressure) && report.max_force <= goal.force_tolerance && unjammed < density {
+        if may_end && is_marginal(pressure) {
             return Ok(Onset { density, unjammed, pressure, steps });
         }
         let is_jammed = pressure > search.pressure[0];

@@ -43,10 +43,10 @@ impl Stiffness {
     /// The same with the contacts that are left when own points move by `displacement`
     /// ([`Model::stiffness_ahead`]), and by how much the forces on the own points then differ. Call
     /// [`System::prepare_for_reach`] first. Collective.
-    pub fn ahead<M: Model>(system: &mut System<M>, prestress: f64, displacement: &mut Vec<Vec2>) -> (Self, Vec<Vec2>) {
-        system.refresh(displacement);
+    pub fn ahead<M: Model>(system: &mut System<M>, prestress: f64, displacement: &[Vec2]) -> (Self, Vec<Vec2>) {
+        let displacement = system.share(displacement.to_vec());
         let (view, model) = (system.view(), &system.model);
-        let ahead = Ahead { displacement, reach: system.reach() };
+        let ahead = Ahead { displacement: &displacement, reach: system.reach() };
         Self::assemble(system, |p, rows, changes| {
             let add = |point: usize, column, block| rows[point].push((column, block));
             let push = |point: usize, force: Vec2| changes[point] = self::add(changes[point], force);
@@ -72,7 +72,7 @@ impl Stiffness {
                 let points = particles.bodies.points(p);
                 rows.resize(rows.len().max(points.len()), Vec::new());
                 let mine = points.start - chunk.points.start..points.end - chunk.points.start;
-                visit(p, &mut rows, &mut changes[mine]);
+                visit(p, &mut rows, &mut changes[mine.clone()]);
                 for row in &mut rows[..points.len()] {
                     row.sort_by_key(|&(column, _)| name[column as usize]); // stable: a sum keeps its order
                     let before = entries.len();
@@ -85,7 +85,6 @@ impl Stiffness {
                     lengths.push(entries.len() - before);
                 }
                 if M::BODIES {
-                    let mine = points.start - chunk.points.start..points.end - chunk.points.start;
                     weight = model.area_stiffness(&view, p, &mut gradient[mine]);
                 }
             }
