@@ -53,7 +53,7 @@ fn measure(comm: Comm, n: u32) {
     });
     let mut rho = 0.0;
     show(&mut system, "rho", |system| {
-        let shapes: Vec<Shape> = system.outlines().expect("a box that fits").iter().map(Shape::of).collect();
+        let shapes: Vec<Shape> = system.outlines(Shape::of).expect("a box that fits");
         rho = PackingFraction::of(system, &shapes).expect("a box that fits").packing_fraction;
         format!("{rho:.15}")
     });

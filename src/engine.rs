@@ -470,7 +470,9 @@ impl<M: Model> System<M> {
     fn rebuild(&mut self) -> Result<(), EngineError> {
         self.counters.rebuilds += 1;
         let _lists = profile::enter(Phase::Lists);
-        self.list = M::List::default(); // its memory is wanted for the new one
+        // all that is made anew: its memory is wanted on the way
+        self.list = M::List::default();
+        (self.forces, self.lightened, self.built_position) = (Vec::new(), Vec::new(), Vec::new());
         self.particles.forget_foreign();
         self.migrate();
         if self.stale || self.counters.rebuilds.is_multiple_of(REBUILDS_PER_SORT) {
@@ -501,9 +503,9 @@ impl<M: Model> System<M> {
         self.list = self.model.list(&candidates, self.skin);
         self.keep_named(owned, owned_points, &peers, &offered, &foreign_of_peer);
 
-        self.forces.resize(owned_points, [0.0; 2]);
+        self.forces = vec![[0.0; 2]; owned_points];
         if M::BODIES {
-            self.lightened.resize(owned_points, [0.0; 2]);
+            self.lightened = vec![[0.0; 2]; owned_points];
         }
         self.built_box = self.pbox;
         self.built_at = self.counters.forces;
@@ -688,12 +690,12 @@ impl<M: Model> System<M> {
         Ok(parts.concat())
     }
 
-    /// Outline of each own particle.
-    pub fn outlines(&mut self) -> Result<Vec<Outline>, EngineError> {
+    /// What `of` says about the outline of each own particle.
+    pub fn outlines<R: Copy + Send>(&mut self, of: impl Fn(&Outline) -> R + Sync) -> Result<Vec<R>, EngineError> {
         self.prepare()?;
         let view = self.view();
         let parts = threads::map(&self.chunks, |chunk| {
-            chunk.particles.clone().map(|p| self.model.outline(&view, p)).collect::<Vec<_>>()
+            chunk.particles.clone().map(|p| of(&self.model.outline(&view, p))).collect::<Vec<_>>()
         });
         Ok(parts.concat())
     }

@@ -25,6 +25,7 @@ pub struct Session {
 impl Session {
     /// Initialises MPI (calls from the main thread only) and makes a panic on any rank end all of them.
     pub fn start() -> Self {
+        keep_large_arrays_apart();
         let universe = mpi::initialize_with_threading(mpi::Threading::Funneled).map(|(universe, _)| universe);
         if let Some(universe) = &universe {
             let rank = universe.world().rank();
@@ -46,6 +47,17 @@ impl Session {
             Some(universe) => Comm::over(universe.world().duplicate()),
             None => Comm::alone(),
         }
+    }
+}
+
+/// Makes the allocator give every array of a megabyte or more pages of its own, which go back to the system with it. Left
+/// to itself glibc soon puts arrays of up to 32 MB between those of neighbour lists, and a third of the memory of a large
+/// system is holes.
+fn keep_large_arrays_apart() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: sets a number of the allocator; no other thread runs yet
+    unsafe {
+        libc::mallopt(libc::M_MMAP_THRESHOLD, 1 << 20);
     }
 }
 

@@ -21,8 +21,7 @@ pub struct Approximations {
 impl Approximations {
     /// Of the present state; all zero for particles that are not disks. Collective.
     pub fn of<M: Model>(system: &mut System<M>) -> Result<Approximations, EngineError> {
-        let outlines = system.outlines()?;
-        let rows: Vec<[f64; 4]> = outlines.iter().map(terms).collect();
+        let rows = system.outlines(terms)?;
         let [own, kites, lenses, triples] =
             system.comm.sum_terms(rows.len(), |p| rows[p]).map(|sum| sum / system.pbox().area());
         Ok(Approximations {
@@ -135,7 +134,7 @@ mod tests {
         let mut system = System::new(Comm::alone(), model, pbox, &pbox, disks, 0.3).unwrap();
         let goal = Goal { force_tolerance: 1e-10, max_iterations: 100_000 };
         assert!(Fire.minimize(&mut system, &goal).unwrap().is_converged());
-        let shapes: Vec<Shape> = system.outlines().unwrap().iter().map(Shape::of).collect();
+        let shapes: Vec<Shape> = system.outlines(Shape::of).unwrap();
         let rho = PackingFraction::of(&mut system, &shapes).unwrap().packing_fraction;
         let a = Approximations::of(&mut system).unwrap();
         Approximations {

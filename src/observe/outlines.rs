@@ -74,8 +74,9 @@ impl Edge {
 /// A connected part of the outline of one particle, between two others that hide what lies before and behind it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chain {
-    /// Global id of the particle.
+    /// Global id of the particle, and which of its chains this is.
     pub id: u32,
+    pub number: u32,
     /// It has no ends; `after` and `before` mean nothing.
     pub is_closed: bool,
     pub start: Frac,
@@ -156,12 +157,17 @@ impl<'a> Outlines<'a> {
     }
 
     /// What `of` says about every own particle that counts, in the order of storage.
-    fn map<R: Send>(&self, of: impl Fn(usize) -> R + Sync) -> Vec<R> {
+    fn map<R: Send, Of: IntoIterator<Item = R>>(&self, of: impl Fn(usize) -> Of + Sync) -> Vec<R> {
+        // a few chunks after the other, so that what is said is not there twice
+        const FEW: usize = 64;
         let counts = |p: &usize| self.first[*p] < self.first[p + 1];
-        let parts = threads::map(self.candidates.chunks, |chunk| {
-            chunk.particles.clone().filter(counts).map(&of).collect::<Vec<_>>()
-        });
-        parts.into_iter().flatten().collect()
+        let mut all = Vec::new();
+        for chunks in self.candidates.chunks.chunks(FEW) {
+            let parts =
+                threads::map(chunks, |chunk| chunk.particles.clone().filter(counts).flat_map(&of).collect::<Vec<_>>());
+            parts.into_iter().for_each(|part| all.extend(part));
+        }
+        all
     }
 
     /// The parts of the outlines of own particles that no particle hides, particle after particle.
@@ -171,13 +177,13 @@ impl<'a> Outlines<'a> {
                 self.own_pieces(p, |e, hiding| self.cells.for_each_near(self.midpoints[e], |c| hiding.push(c)));
             self.assembled(&pieces)
         };
-        self.map(of).concat()
+        self.map(of)
     }
 
     /// For each own particle the area that it covers and no particle with a lower global id does. Their sum over all
     /// particles is the area of the union, whatever the multiplicity of overlaps.
     pub fn shares(&self) -> Vec<f64> {
-        self.map(|p| self.share(p))
+        self.map(|p| [self.share(p)])
     }
 
     fn share(&self, p: usize) -> f64 {
@@ -311,6 +317,7 @@ impl<'a> Outlines<'a> {
                 }
                 let chain = current.get_or_insert_with(|| Chain {
                     id: edge.id,
+                    number: 0,
                     is_closed: false,
                     start,
                     end: start,
@@ -350,6 +357,7 @@ impl<'a> Outlines<'a> {
         let mut chains = self.joined_to_itself(chains);
         // what is shorter than the rounding of its ends is no chain
         chains.retain(|chain| chain.is_closed || chain.length > 100.0 * self.hair);
+        chains.iter_mut().zip(0..).for_each(|(chain, number)| chain.number = number);
         chains
     }
 

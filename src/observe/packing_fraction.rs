@@ -257,7 +257,7 @@ mod tests {
         }
         let model = SoftDisks { epsilon: 1.0, smallest: 1.0 };
         let mut system = System::new(Comm::alone(), model, pbox, &pbox, disks, 0.1).unwrap();
-        let shapes: Vec<Shape> = system.outlines().unwrap().iter().map(Shape::of).collect();
+        let shapes: Vec<Shape> = system.outlines(Shape::of).unwrap();
         let cut: f64 = shapes.iter().map(|s| s.area).sum();
         assert!((covered(&mut system) - cut).abs() < 1e-12 * cut, "{} {cut}", covered(&mut system));
     }

@@ -85,7 +85,7 @@ impl Sample {
         rattlers: Rattlers,
     ) -> Result<(Sample, PerParticle), EngineError> {
         let contacts = Contacts::of(system, rattlers)?;
-        let shapes: Vec<Shape> = system.outlines()?.iter().map(Shape::of).collect();
+        let shapes: Vec<Shape> = system.outlines(Shape::of)?;
         let terms = system.terms()?;
         let density = PackingFraction::of(system, &shapes)?;
         let [mean_area, area_deviation] = areas(system, &shapes, contacts.n_particles);

@@ -124,8 +124,7 @@ impl Voids {
         let counts = |id: u32| removed.binary_search(&id).is_err();
         let smallest_island = 0.5 * smallest_area(system)?;
         let mut chains = system.with_whole_neighbors(|seen| Outlines::new(seen, thickness, counts).chains())?;
-        // stable: the chains of one particle keep their order
-        chains.sort_by_key(|chain| chain.id);
+        sort_chains(&mut chains);
         let widest = thickness.widest_gap();
         let (mut voids, chains) = settled(system.pbox(), chains, widest, smallest_island);
         let mut words = Vec::new();
@@ -136,7 +135,7 @@ impl Voids {
         if system.comm.is_root() {
             let mut chains: Vec<Chain> = parts.iter().flat_map(|words| unpack(words)).collect();
             drop(parts);
-            chains.sort_by_key(|chain| chain.id);
+            sort_chains(&mut chains);
             match Linked::new(system.pbox(), &chains, widest) {
                 Some(linked) => voids.extend(linked.voids(smallest_island)),
                 None => is_linked = false,
@@ -174,6 +173,11 @@ impl Voids {
         sort(&mut all);
         all
     }
+}
+
+/// By particle, in place.
+fn sort_chains(chains: &mut [Chain]) {
+    chains.sort_unstable_by_key(|chain| (chain.id, chain.number));
 }
 
 fn sort(voids: &mut [Void]) {
@@ -258,12 +262,12 @@ pub fn rattler_ids<M: Model>(system: &System<M>, contacts: &Contacts) -> Vec<u32
 
 fn pack(chain: &Chain, words: &mut Vec<u64>) {
     let place = |at: Frac| at.to_bits().map(|k| k as u64);
-    words.push(chain.id as u64 | (chain.is_closed as u64) << 32);
+    words.push(chain.id as u64 | (chain.number as u64) << 32);
     words.push(chain.after as u64 | (chain.before as u64) << 32);
     words.extend(place(chain.start));
     words.extend(place(chain.end));
     words.extend([chain.reach[0], chain.reach[1], chain.length, chain.area].map(f64::to_bits));
-    words.push(chain.via.len() as u64);
+    words.push((chain.via.len() as u64) << 1 | chain.is_closed as u64);
     words.extend(chain.via.iter().flat_map(|&at| place(at)));
 }
 
@@ -273,10 +277,11 @@ fn unpack(words: &[u64]) -> Vec<Chain> {
     let mut rest = words;
     while let [head, ends, tail @ ..] = rest {
         let number = |k: usize| f64::from_bits(tail[k]);
-        let (via, after) = tail[9..].split_at(2 * tail[8] as usize);
+        let (via, after) = tail[9..].split_at(2 * (tail[8] >> 1) as usize);
         chains.push(Chain {
             id: *head as u32,
-            is_closed: head >> 32 != 0,
+            number: (head >> 32) as u32,
+            is_closed: tail[8] & 1 != 0,
             after: *ends as u32,
             before: (ends >> 32) as u32,
             start: place(&tail[0..]),
@@ -569,31 +574,44 @@ fn successors(pbox: &PeriodicBox, chains: &[Chain], widest: f64) -> Option<Vec<u
     Some(next)
 }
 
+/// The particle that hides what follows a chain, or what precedes it.
+type Other = fn(&Chain) -> u32;
+
+/// The ids of the particle of a chain and of another.
+fn pair(chain: &Chain, other: u32) -> (u32, u32) {
+    (chain.id.min(other), chain.id.max(other))
+}
+
 /// For every chain the one that follows, itself if it is closed, or [`NONE`]. The end of a chain of p that q hides is
 /// the start of one of q that p hides before: those of one pair of particles, both of them here, are matched.
 fn partners(pbox: &PeriodicBox, chains: &[Chain], widest: f64, is_here: impl Fn(u32) -> bool) -> Vec<u32> {
     let number = |k: usize| if chains[k].is_closed { k as u32 } else { NONE };
     let mut next: Vec<u32> = (0..chains.len()).map(number).collect();
-    let pairs = |other: &dyn Fn(&Chain) -> u32| -> Vec<((u32, u32), u32)> {
-        let open = (0..chains.len()).filter(|&k| !chains[k].is_closed && is_here(other(&chains[k])));
-        let pair = |a: u32, b: u32| (a.min(b), a.max(b));
-        let mut pairs: Vec<_> = open.map(|k| (pair(chains[k].id, other(&chains[k])), k as u32)).collect();
-        pairs.sort_unstable();
-        pairs
+    let between = |k: u32, other: Other| pair(&chains[k as usize], other(&chains[k as usize]));
+    let by_pair = |other: Other| -> Vec<u32> {
+        let is_open = |&k: &u32| !chains[k as usize].is_closed && is_here(other(&chains[k as usize]));
+        let mut open: Vec<u32> = (0..chains.len() as u32).filter(is_open).collect();
+        open.sort_unstable_by_key(|&k| (between(k, other), k));
+        open
     };
-    let (ends, starts) = (pairs(&|chain| chain.before), pairs(&|chain| chain.after));
-    let (mut e, mut s) = (&ends[..], &starts[..]);
-    while let Some(key) = e.first().into_iter().chain(s.first()).map(|&(key, _)| key).min() {
-        let cut = |of: &[((u32, u32), u32)]| of.iter().take_while(|&&(k, _)| k == key).count();
-        let ((these_ends, e_rest), (these_starts, s_rest)) = (e.split_at(cut(e)), s.split_at(cut(s)));
-        (e, s) = (e_rest, s_rest);
+    let (before, after): (Other, Other) = (|chain| chain.before, |chain| chain.after);
+    let (ends, starts) = (by_pair(before), by_pair(after));
+    let (mut ends, mut starts) = (&ends[..], &starts[..]);
+    while let Some(key) = [ends.first().map(|&k| between(k, before)), starts.first().map(|&k| between(k, after))]
+        .into_iter()
+        .flatten()
+        .min()
+    {
+        let (these_ends, these_starts);
+        (these_ends, ends) = ends.split_at(ends.iter().take_while(|&&k| between(k, before) == key).count());
+        (these_starts, starts) = starts.split_at(starts.iter().take_while(|&&k| between(k, after) == key).count());
         let gap = |i: usize, j: usize| {
-            let (end, start) = (&chains[these_ends[i].1 as usize], &chains[these_starts[j].1 as usize]);
+            let (end, start) = (&chains[these_ends[i] as usize], &chains[these_starts[j] as usize]);
             norm(pbox.displacement(start.start, end.end))
         };
         for (i, j) in nearest_pairs(these_ends.len(), these_starts.len(), gap) {
             if gap(i, j) < widest {
-                next[these_ends[i].1 as usize] = these_starts[j].1;
+                next[these_ends[i] as usize] = these_starts[j];
             }
         }
     }
@@ -626,7 +644,7 @@ mod tests {
 
     /// With the check against ρ.
     fn voids<M: Model>(mut system: System<M>) -> Voids {
-        let shapes: Vec<Shape> = system.outlines().unwrap().iter().map(Shape::of).collect();
+        let shapes: Vec<Shape> = system.outlines(Shape::of).unwrap();
         let rho = PackingFraction::of(&mut system, &shapes).unwrap().packing_fraction;
         Voids::of(&mut system, &[], Some(rho)).unwrap()
     }

@@ -239,7 +239,7 @@ pub fn soft_disks(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>
         let mut row = [0.0; 15];
         for (density, row) in DENSITIES.into_iter().zip(row.chunks_exact_mut(3)) {
             compress_to(&mut system, &ConjugateGradient, &GOAL, density)?;
-            let shapes: Vec<Shape> = system.outlines()?.iter().map(Shape::of).collect();
+            let shapes: Vec<Shape> = system.outlines(Shape::of)?;
             let rho = PackingFraction::of(&mut system, &shapes)?.packing_fraction;
             let a = Approximations::of(&mut system)?;
             let voids = Voids::of(&mut system, &[], Some(rho))?.statistics;

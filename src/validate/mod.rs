@@ -101,16 +101,12 @@ fn plateau_shape_parameter() -> f64 {
 /// Means of some numbers over the polygons of all ranks; all zero for disks. Collective.
 fn mean<M: Model, const K: usize>(
     system: &mut System<M>,
-    of: impl Fn(&Polygon) -> [f64; K],
+    of: impl Fn(&Polygon) -> [f64; K] + Sync,
 ) -> Result<[f64; K], EngineError> {
-    let outlines = system.outlines()?;
-    let rows: Vec<[f64; K]> = outlines
-        .iter()
-        .map(|outline| match outline {
-            Outline::Polygon { polygon, .. } => of(polygon),
-            Outline::Disk { .. } => [0.0; K],
-        })
-        .collect();
+    let rows = system.outlines(|outline| match outline {
+        Outline::Polygon { polygon, .. } => of(polygon),
+        Outline::Disk { .. } => [0.0; K],
+    })?;
     let n = system.n_particles() as f64;
     Ok(system.comm.sum_terms(rows.len(), |p| rows[p]).map(|sum| sum / n))
 }

@@ -171,7 +171,7 @@ pub fn newton_sp(comm: Comm) -> Outcome {
 
 /// The packing fraction and all voids of a state, with and without rattlers, to the last bit.
 fn voids<M: Model>(system: &mut System<M>) -> Outcome {
-    let shapes: Vec<Shape> = system.outlines().unwrap().iter().map(Shape::of).collect();
+    let shapes: Vec<Shape> = system.outlines(Shape::of).unwrap();
     let density = PackingFraction::of(system, &shapes).unwrap();
     let contacts = Contacts::of(system, Rattlers::default()).unwrap();
     let removed = rattler_ids(system, &contacts);
