@@ -8,7 +8,7 @@ use jamhpc::engine::System;
 use jamhpc::model::Model;
 use jamhpc::output::{Frame, Header, ResultsFile};
 use std::hint::black_box;
-use systems::{deformable, run, soft_disks};
+use systems::{RELAXING, deformable, run, soft_disks};
 
 /// Polygons and disks of about as many points.
 const POLYGONS: u32 = 1024;
@@ -110,8 +110,9 @@ fn sums(c: &mut Criterion) {
 
 fn all(c: &mut Criterion) {
     let mut polygons = deformable(Comm::alone(), POLYGONS);
-    run(&mut polygons, 500);
+    run(&mut polygons, RELAXING);
     let mut disks = soft_disks(Comm::alone(), DISKS);
+    run(&mut disks, RELAXING);
     forces(c, "dp", &mut polygons);
     forces(c, "sp", &mut disks);
     steps(c, "dp", &mut polygons);

@@ -14,7 +14,7 @@ use jamhpc::output::plot::{Axes, Series, panels};
 use jamhpc::profile::{self, Count, Phase};
 use std::collections::BTreeMap;
 use std::time::Instant;
-use systems::{deformable, run, soft_disks};
+use systems::{RELAXING, deformable, run, soft_disks};
 
 const HEADER: &str = "study,model,particles,ranks,threads,points,us_per_step,forces_us,halo_us,reductions_us,\
                       halo_bytes_per_step,halo_messages_per_step,collectives_per_step,rebuilds,peak_bytes_per_point";
@@ -46,7 +46,7 @@ fn main() {
 }
 
 fn measure<M: Model>(study: &str, model: &str, n: u32, system: &mut System<M>) {
-    run(system, STEPS);
+    run(system, RELAXING);
     let rebuilds = system.counters.rebuilds;
     profile::start();
     let mut times: Vec<f64> = (0..REPEATS)
