@@ -188,7 +188,7 @@ pub enum Command {
         /// A scene of soft disks (sp) or of deformable particles (dp), or a study of many packings
         #[arg(value_enum, default_value_t = Starter::Dp)]
         model: Starter,
-        /// Write it to this file, which must not exist yet
+        /// Write it to this file, which must not exist yet, instead of the standard output (-)
         #[arg(short, long, value_name = "SCENE.toml")]
         output: Option<PathBuf>,
     },

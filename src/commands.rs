@@ -126,9 +126,9 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
                 Starter::Dp => scene::DP_STARTER,
                 Starter::Study => study::plan::STARTER,
             };
-            match output {
-                None => print(&comm, text),
-                Some(file) => write_new(&comm, file, text),
+            match output.as_deref() {
+                Some(file) if file != Path::new("-") => write_new(&comm, file, text),
+                _ => print(&comm, text),
             }
         }
     }

@@ -205,6 +205,7 @@ fn a_starter_scene_is_valid_and_never_overwritten() {
     for model in ["sp", "dp"] {
         let file = format!("{model}.toml");
         let printed = place.jamhpc(&["init", model]).succeeds().stdout;
+        assert_eq!(place.jamhpc(&["init", model, "-o", "-"]).succeeds().stdout, printed);
         place.jamhpc(&["init", model, "-o", &file]).succeeds();
         assert_eq!(printed.as_bytes(), place.read(&file));
         let whole = place.jamhpc(&["run", &file, "--check"]).succeeds().stdout;
