@@ -168,6 +168,9 @@ pub enum Command {
         /// What colours the particles
         #[arg(long, value_enum, default_value_t = ColorBy::Z)]
         color_by: ColorBy,
+        /// Show only this part of either edge of the box, such as 0.2 [default: 1, less for more than 200000 particles]
+        #[arg(long)]
+        part: Option<f64>,
         /// The picture; the ending .svg or .png decides its format
         #[arg(short, long, value_name = "PICTURE")]
         output: PathBuf,

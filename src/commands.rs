@@ -108,12 +108,15 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             let text = text_of_configuration(&comm, file)?;
             print(&comm, &analysis::check(session, file, text.as_deref(), *frame, *force_tolerance)?)
         }
-        Some(Command::Render { file, frame, color_by, output }) => {
+        Some(Command::Render { file, frame, color_by, part, output }) => {
             let ending = output.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
             if !["svg", "png"].contains(&ending.as_str()) {
                 return Err(Failure::Input(format!("cannot draw {}: name it .svg or .png", output.display())));
             }
-            frames::render(comm, file, *frame, *color_by, output)
+            if let Some(part) = part.filter(|part| !(*part > 0.0 && *part <= 1.0)) {
+                return Err(Failure::Input(format!("--part {part}: it must be above 0 and not above 1, such as 0.2")));
+            }
+            frames::render(comm, file, *frame, *color_by, *part, output)
         }
         Some(Command::Info { file }) => {
             let text = comm.from_root(|| Ok::<_, Failure>(info(file)?.into_bytes()))?;

@@ -17,13 +17,21 @@ use std::path::Path;
 pub type Frame = Option<usize>;
 
 /// Draws a frame. The engine measures it anew, because contacts are not stored. Collective.
-pub fn render(comm: Comm, file: &Path, frame: Frame, color_by: ColorBy, picture: &Path) -> Result<(), Failure> {
+pub fn render(
+    comm: Comm,
+    file: &Path,
+    frame: Frame,
+    color_by: ColorBy,
+    part: Option<f64>,
+    picture: &Path,
+) -> Result<(), Failure> {
     let results = Results::open(&comm, file)?;
-    with_frame(comm, file, &results, frame, |_, _| Draw { color_by, picture })?
+    with_frame(comm, file, &results, frame, |_, _| Draw { color_by, part, picture })?
 }
 
 struct Draw<'a> {
     color_by: ColorBy,
+    part: Option<f64>,
     picture: &'a Path,
 }
 
@@ -33,7 +41,7 @@ impl Look for Draw<'_> {
 
     fn look<M: Model>(self, system: &mut System<M>) -> Result<(), Failure> {
         let (sample, columns) = Sample::measure(system, &Report::default(), Rattlers::default())?;
-        drawing::draw(system, &sample, &columns, self.color_by, self.picture)
+        drawing::draw(system, &sample, &columns, self.color_by, self.part, self.picture)
     }
 }
 

@@ -61,9 +61,6 @@ pub enum PictureError {
     /// The PNG encoder failed.
     #[error("cannot encode the picture as PNG: {0}")]
     Png(String),
-    /// More particles than a picture can show.
-    #[error("{particles} particles are too many for a picture, {most} at most")]
-    TooMany { particles: usize, most: usize },
     /// Ids are not 0, 1, 2, ...
     #[error("cannot draw these particles: {0}")]
     Particles(String),
@@ -94,6 +91,8 @@ pub enum Outline {
 pub struct Packing {
     /// Box vectors as rows, `a1 = (lx, 0)` and `a2 = (xy, ly)`.
     pub cell: [[f64; 2]; 2],
+    /// The part of either edge of the box that is shown, from the origin: 1 for all of it.
+    pub part: f64,
     /// Outlines of the particles, in any periodic image; drawn in every image that is visible.
     pub outlines: Vec<Outline>,
     /// Value of each particle shown as its colour; a missing or non-finite value is drawn grey.
@@ -117,7 +116,7 @@ impl Packing {
     pub fn to_svg(&self) -> String {
         let mut body = String::new();
         let (mut width, mut height) = (BOX_SIZE / 2.0, 0.0_f64);
-        if let Some(view) = View::new(self.cell, self.margin()) {
+        if let Some(view) = View::new(self.cell, self.part, self.margin()) {
             let scale = ColourScale::of(&self.values);
             body += &self.draw_box(&view, &scale);
             let (bar, [right, bottom]) = draw_colour_bar(&scale, &self.value_name, &view);
@@ -142,7 +141,7 @@ impl Packing {
     /// Width of the strip around the box in which neighbouring images are shown: about one
     /// particle, but small against the box.
     fn margin(&self) -> f64 {
-        let side = area(self.cell).abs().sqrt();
+        let side = self.part * area(self.cell).abs().sqrt();
         let (count, sum) = (self.outlines.iter().filter_map(bounding_circle))
             .fold((0.0, 0.0), |(n, s), (_, radius)| (n + 1.0, s + 2.0 * radius));
         if count == 0.0 { 0.02 * side } else { (0.75 * sum / count).max(0.012 * side).min(0.06 * side) }
@@ -166,7 +165,8 @@ impl Packing {
             let _ = writeln!(svg, "<g fill=\"{}\">{shapes}</g>", hex(colour));
         }
         svg += "</g>\n";
-        if self.outlines.len() <= MAX_PARTICLES_WITH_CONTACTS && !self.contacts.is_empty() {
+        let shown = self.outlines.len() as f64 * self.part * self.part;
+        if shown <= MAX_PARTICLES_WITH_CONTACTS as f64 && !self.contacts.is_empty() {
             let _ = writeln!(
                 svg,
                 "<path d=\"{}\" fill=\"none\" stroke=\"#111\" stroke-width=\"{}\" stroke-linecap=\"round\"/>",
@@ -189,10 +189,14 @@ impl Packing {
             let Some((center, radius)) = bounding_circle(outline) else {
                 continue;
             };
+            let shifts = view.image_shifts(center, radius + view.margin);
+            if shifts.is_empty() {
+                continue;
+            }
             let value = self.values.get(i).copied().unwrap_or(f64::NAN);
             let group = groups.entry(scale.colour(value)).or_default();
             let shape = Shape::new(outline, view);
-            for shift in image_shifts(view.cell, center, radius + view.margin) {
+            for shift in shifts {
                 *group += &shape.element(view, shift);
             }
         }
@@ -208,7 +212,7 @@ impl Packing {
             if !(is_finite(middle) && length.is_finite()) {
                 continue;
             }
-            for shift in image_shifts(view.cell, middle, 0.5 * length + view.margin) {
+            for shift in view.image_shifts(middle, 0.5 * length + view.margin) {
                 let mut pen = Pen::at(view.to_drawing(add(from, shift)));
                 pen.line_to(view.to_drawing(add(to, shift)));
                 let _ = write!(data, "M{}{}", pair(pen.start), pen.data);
@@ -233,7 +237,9 @@ impl Packing {
 
 /// Map from the box to the drawing: `y` points up in the box and down in the drawing.
 struct View {
+    /// What is framed: the box, or a part of it.
     cell: [Point; 2],
+    part: f64,
     margin: f64,
     scale: f64,
     /// Left and top of the visible region, in units of length.
@@ -245,10 +251,10 @@ struct View {
 
 impl View {
     /// `None` if the box has no area, or next to none.
-    fn new(cell: [Point; 2], margin: f64) -> Option<Self> {
-        let cell = upright(cell);
+    fn new(cell: [Point; 2], part: f64, margin: f64) -> Option<Self> {
+        let cell = upright(cell).map(|edge| scaled(edge, part));
         let usable = is_finite(cell[0]) && is_finite(cell[1]) && area(cell) != 0.0;
-        let mut view = View { cell, margin, scale: 1.0, corner: [0.0, 0.0], width: 0.0, height: 0.0 };
+        let mut view = View { cell, part, margin, scale: 1.0, corner: [0.0, 0.0], width: 0.0, height: 0.0 };
         let corners = view.corners(margin);
         let bound = |axis: usize, pick: fn(f64, f64) -> f64, start| corners.iter().map(|p| p[axis]).fold(start, pick);
         let (left, right) = (bound(0, f64::min, f64::INFINITY), bound(0, f64::max, f64::NEG_INFINITY));
@@ -274,6 +280,39 @@ impl View {
     fn parallelogram(&self, margin: f64) -> String {
         let corners = self.corners(margin).map(|p| pair(self.to_drawing(p)));
         format!("M{}Z", corners.join("L"))
+    }
+
+    /// Lattice vectors that bring a circle of radius `reach` around `center` into the frame; none for a circle many times
+    /// its size.
+    fn image_shifts(&self, center: Point, reach: f64) -> Vec<Point> {
+        let [a1, a2] = self.cell;
+        // in units of what is framed, like all that follows
+        let s = [
+            (center[0] * a2[1] - center[1] * a2[0]) / area(self.cell),
+            (center[1] * a1[0] - center[0] * a1[1]) / area(self.cell),
+        ];
+        let extent = fractional_reach(self.cell, reach);
+        let period = 1.0 / self.part;
+        // Damaged data: images without end, or positions lost in rounding.
+        if !(extent.iter().all(|&e| e < MAX_BOXES) && s.iter().all(|x| x.abs() < 1e9)) {
+            return Vec::new();
+        }
+        let range = |axis: usize| {
+            let first = ((-s[axis] - extent[axis]) / period).ceil();
+            let last = ((1.0 - s[axis] + extent[axis]) / period).floor();
+            // of a part there may be no image at all
+            (0..=(last - first) as i64).filter(move |_| last >= first).map(move |n| (first + n as f64) * period)
+        };
+        let mut shifts = Vec::new();
+        for n1 in range(0) {
+            for n2 in range(1) {
+                let image = [s[0] + n1, s[1] + n2];
+                if distance_to_box(self.cell, image) <= reach {
+                    shifts.push(lattice(self.cell, [n1, n2]));
+                }
+            }
+        }
+        shifts
     }
 }
 
@@ -301,34 +340,6 @@ fn lattice([a1, a2]: [Point; 2], s: Point) -> Point {
 fn fractional_reach([a1, a2]: [Point; 2], reach: f64) -> Point {
     let area = area([a1, a2]).abs();
     [reach * a2[0].hypot(a2[1]) / area, reach * a1[0].hypot(a1[1]) / area]
-}
-
-/// Lattice vectors that bring a circle of radius `reach` around `center` onto the box; none for
-/// a circle many times the size of the box.
-fn image_shifts(cell: [Point; 2], center: Point, reach: f64) -> Vec<Point> {
-    let [a1, a2] = cell;
-    let s =
-        [(center[0] * a2[1] - center[1] * a2[0]) / area(cell), (center[1] * a1[0] - center[0] * a1[1]) / area(cell)];
-    let extent = fractional_reach(cell, reach);
-    // Damaged data: images without end, or positions lost in rounding.
-    if !(extent.iter().all(|&e| e < MAX_BOXES) && s.iter().all(|x| x.abs() < 1e9)) {
-        return Vec::new();
-    }
-    let range = |axis: usize| {
-        let first = (-s[axis] - extent[axis]).ceil();
-        let last = (1.0 - s[axis] + extent[axis]).floor();
-        (0..=(last - first) as i64).map(move |n| first + n as f64)
-    };
-    let mut shifts = Vec::new();
-    for n1 in range(0) {
-        for n2 in range(1) {
-            let image = [s[0] + n1, s[1] + n2];
-            if distance_to_box(cell, image) <= reach {
-                shifts.push(lattice(cell, [n1, n2]));
-            }
-        }
-    }
-    shifts
 }
 
 /// Distance of the point with box coordinates `s` from the box, zero inside.
@@ -985,12 +996,24 @@ mod tests {
         rasterise(&row, 40).unwrap();
     }
 
+    #[test]
+    fn a_part_shows_what_reaches_into_it() {
+        // inside, far away, and beyond the corner of the box, where it reaches in through the periodic boundary
+        let mut packing = disks(&[[2.0, 2.0], [8.0, 7.0], [9.8, 9.8]], SQUARE);
+        let circles = |packing: &Packing| packing.to_svg().matches("<circle").count();
+        let whole = circles(&packing);
+        packing.part = 0.4;
+        assert_eq!(circles(&packing), 2);
+        assert!(whole > 2);
+    }
+
     const SQUARE: [Point; 2] = [[10.0, 0.0], [0.0, 10.0]];
 
     fn disks(centers: &[Point], cell: [Point; 2]) -> Packing {
         let disk = |&center: &Point| Outline::Disk { center, diameter: 1.0 };
         Packing {
             cell,
+            part: 1.0,
             outlines: centers.iter().map(disk).collect(),
             values: vec![3.0; centers.len()],
             value_name: "z".to_owned(),
@@ -1035,7 +1058,7 @@ mod tests {
     fn images_of_a_corner_particle_lie_on_the_corners_of_a_sheared_box() {
         let cell = [[10.0, 0.0], [3.0, 8.0]];
         let packing = disks(&[[0.0, 0.0]], cell);
-        let view = View::new(cell, packing.margin()).unwrap();
+        let view = View::new(cell, 1.0, packing.margin()).unwrap();
         let mut expected = view.corners(0.0).map(|p| rounded(view.to_drawing(p)));
         let mut drawn = circle_centers(&packing.to_svg());
         let by_place = |a: &Point, b: &Point| a.partial_cmp(b).unwrap();
@@ -1127,7 +1150,7 @@ mod tests {
     fn a_contact_across_an_edge_is_drawn_on_both_sides() {
         let mut packing = disks(&[], SQUARE);
         packing.contacts = vec![[[9.8, 5.0], [10.4, 5.0]]];
-        let view = View::new(SQUARE, packing.margin()).unwrap();
+        let view = View::new(SQUARE, 1.0, packing.margin()).unwrap();
         assert_eq!(packing.contact_path(&view).matches('M').count(), 2);
     }
 

@@ -10,12 +10,16 @@ use crate::geometry::{PeriodicBox, add};
 use crate::particles::{Bodies, Particles};
 use std::path::Path;
 
-/// Larger packings are not drawn: a particle would be smaller than a pixel.
-pub const MAX_PARTICLES: usize = 200_000;
+/// Of larger packings only a part with about as many particles as the second number is drawn: a particle would be smaller
+/// than a pixel.
+const MAX_PARTICLES: u64 = 200_000;
+const PARTICLES_OF_A_PART: f64 = 1500.0;
 const WIDTH_PX: u32 = 1600;
 
 /// What a picture shows beside the particles. Values and contacts are each rank's own.
 pub struct Look<'a> {
+    /// The part of either edge of the box to show, above 0 and up to 1; by itself all but of huge packings.
+    pub part: Option<f64>,
     /// Width of the circulo-lines; 0 for disks.
     pub delta: f64,
     /// One value per own particle, shown as its colour.
@@ -35,10 +39,8 @@ pub fn packing(
     particles: &Particles,
     look: &Look,
 ) -> Result<Option<Packing>, PictureError> {
-    let count = comm.sum_count(particles.len() as u64) as usize;
-    if count > MAX_PARTICLES {
-        return Err(PictureError::TooMany { particles: count, most: MAX_PARTICLES });
-    }
+    let count = comm.sum_count(particles.len() as u64);
+    let by_itself = if count > MAX_PARTICLES { (PARTICLES_OF_A_PART / count as f64).sqrt() } else { 1.0 };
     let mut bodies = Vec::new();
     (0..particles.len()).for_each(|p| particles.pack(p, false, &mut bodies));
     let mut all = Particles::empty(&particles.bodies);
@@ -63,6 +65,8 @@ pub fn packing(
     let mut pairs = pairs.concat();
     pairs.sort_unstable();
     pairs.dedup();
+    let part = look.part.unwrap_or(by_itself);
+    let of_part = if part < 1.0 { format!("; {part:.3} of either edge of the box") } else { String::new() };
     let segment = |pair: &u64| {
         let [a, b] = [(pair >> 32) as usize, *pair as u32 as usize];
         let inside = b < all.len(); // a < b
@@ -74,11 +78,12 @@ pub fn packing(
     };
     Ok(Some(Packing {
         cell: [[pbox.lx(), 0.0], [pbox.xy(), pbox.ly()]],
+        part,
         outlines: (0..all.len()).map(outline).collect(),
         values: if look.value_name.is_empty() { Vec::new() } else { alone.columns[0].clone() },
         value_name: look.value_name.to_owned(),
         contacts: pairs.iter().filter_map(segment).collect(),
-        caption: look.caption.to_owned(),
+        caption: format!("{}{of_part}", look.caption),
     }))
 }
 
@@ -182,7 +187,7 @@ mod tests {
     }
 
     fn look(contacts: &[[u32; 2]]) -> Look<'_> {
-        Look { delta: 0.0, values: &[2.0, 1.0], value_name: "z", contacts, caption: "two disks" }
+        Look { part: None, delta: 0.0, values: &[2.0, 1.0], value_name: "z", contacts, caption: "two disks" }
     }
 
     #[test]

@@ -8,15 +8,16 @@ use crate::output::render::{Look, packing, write_packing};
 use crate::scene::ColorBy;
 use std::path::Path;
 
-/// Draws a measured system to a file, SVG or PNG by its name. Collective.
+/// Draws a measured system, or a part of its box, to a file, SVG or PNG by its name. Collective.
 pub fn draw<M: Model>(
     system: &mut System<M>,
     sample: &Sample,
     columns: &PerParticle,
     color_by: ColorBy,
+    part: Option<f64>,
     path: &Path,
 ) -> Result<(), Failure> {
-    with_look(system, sample, columns, color_by, |system, look| {
+    with_look(system, sample, columns, color_by, part, |system, look| {
         Ok(write_packing(&system.comm, path, system.pbox(), system.particles(), look)?)
     })
 }
@@ -28,7 +29,7 @@ pub fn svg<M: Model>(
     columns: &PerParticle,
     color_by: ColorBy,
 ) -> Result<Option<String>, Failure> {
-    with_look(system, sample, columns, color_by, |system, look| {
+    with_look(system, sample, columns, color_by, None, |system, look| {
         let drawn = packing(&system.comm, system.pbox(), system.particles(), look);
         drawn.map(|packing| packing.map(|packing| packing.to_svg())).map_err(|e| Failure::Other(e.to_string()))
     })
@@ -40,6 +41,7 @@ fn with_look<M: Model, R>(
     sample: &Sample,
     columns: &PerParticle,
     color_by: ColorBy,
+    part: Option<f64>,
     act: impl FnOnce(&System<M>, &Look) -> Result<R, Failure>,
 ) -> Result<R, Failure> {
     let touching = system.contacts()?;
@@ -60,6 +62,6 @@ fn with_look<M: Model, R>(
     );
     // particles of no size of their own still meet at the width of their circulo-lines: delta, or 0 for disks
     let delta = system.model.range(0.0);
-    let look = Look { delta, values: &values, value_name, contacts: &pairs, caption: &caption };
+    let look = Look { part, delta, values: &values, value_name, contacts: &pairs, caption: &caption };
     act(system, &look)
 }

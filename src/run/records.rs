@@ -5,7 +5,7 @@ use crate::engine::System;
 use crate::failure::Failure;
 use crate::model::Model;
 use crate::observe::{PerParticle, Rattlers, Sample};
-use crate::output::render::{MAX_PARTICLES, write_plot};
+use crate::output::render::write_plot;
 use crate::output::{Folder, Frame, ResultsFile};
 use crate::profile::{self, Phase};
 use crate::protocol::Onset;
@@ -58,10 +58,10 @@ impl Records {
             moved = file.finish(&system.comm, failure.map(|f| f.to_string()).as_deref())?;
         }
         // after a failure the system is not in the state of a sample
-        if scene.output.picture && failure.is_none() && system.n_particles() <= MAX_PARTICLES as u64 {
+        if scene.output.picture && failure.is_none() {
             let (sample, columns) = Sample::measure(system, &Default::default(), Rattlers::default())?;
             for name in PICTURES {
-                drawing::draw(system, &sample, &columns, scene.output.color_by, &folder.file(name))?;
+                drawing::draw(system, &sample, &columns, scene.output.color_by, None, &folder.file(name))?;
             }
             written.extend(PICTURES);
         }

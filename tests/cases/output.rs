@@ -79,6 +79,6 @@ pub fn draw(comm: &Comm, path: &Path, polygons: bool) -> Result<(), OutputError>
     let particles = share(comm, polygons, 0);
     let values: Vec<f64> = particles.id.iter().map(|&id| id as f64).collect();
     let contacts: Vec<[u32; 2]> = particles.id.iter().map(|&id| [id, (id + 1) % COUNT]).collect();
-    let look = Look { delta: 0.1, values: &values, value_name: "id", contacts: &contacts, caption: "noise" };
+    let look = Look { part: None, delta: 0.1, values: &values, value_name: "id", contacts: &contacts, caption: "noise" };
     write_packing(comm, path, &PeriodicBox::new(9.0, 8.0, 0.25), &particles, &look)
 }
