@@ -268,7 +268,6 @@ impl Search<'_> {
         cap: f64,
     ) -> Option<(Vec<Vec2>, f64)> {
         self.cholesky.load(system, stiffness);
-        let least = SHIFT_LEAST * self.stiffest;
         for _ in 0..SHIFTS {
             if self.cholesky.factorize(&system.comm, *shift) {
                 let forces: Vec<Vec2> = system.forces().iter().zip(changes).map(|(&f, &c)| add(f, c)).collect();
@@ -279,8 +278,7 @@ impl Search<'_> {
                 }
                 *shift *= (longest / cap).min(30.0);
             } else {
-                let first = if *shift <= least { SHIFT_FIRST * self.stiffest } else { 0.0 };
-                *shift = (SHIFT_RISE * *shift).max(first);
+                *shift = (SHIFT_RISE * *shift).max(SHIFT_FIRST * self.stiffest);
             }
         }
         None
