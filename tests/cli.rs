@@ -235,6 +235,9 @@ fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
         place.jamhpc(&["render", "out/results.h5", "--frame", "0", "--color-by", "pressure", "-o", picture]).succeeds();
         assert!(place.read(picture).len() > 1000);
     }
+    place.jamhpc(&["render", "out/results.h5", "--frame", "0", "--part", "0.3", "-o", "part.svg"]).succeeds();
+    let part = String::from_utf8_lossy(&place.read("part.svg")).into_owned();
+    assert!(part.len() < place.read("onset.svg").len() / 2 && part.contains("0.300 of"), "{part}");
     let evaluation = place.jamhpc(&["evaluate", "out/results.h5", "--frame", "1"]).succeeds().stdout;
     assert!(evaluation.starts_with("{\"energy\":"), "{evaluation}");
     place.jamhpc(&["minimize", "out/results.h5", "-o", "relaxed.json"]).succeeds();
@@ -262,6 +265,7 @@ fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
     place.refuses(&["check", "out/results.h5", "--frame", "7"], &["no frame 7"]);
     place.refuses(&["render", "out/results.h5", "--frame", "3", "-o", "x.svg"], &["no frame 3", "0 to 2"]);
     place.refuses(&["render", "out/results.h5", "-o", "x.pdf"], &["x.pdf", ".svg or .png"]);
+    place.refuses(&["render", "out/results.h5", "--part", "2", "-o", "x.svg"], &["--part 2", "not above 1"]);
     place.refuses(&["evaluate", "relaxed.json", "--frame", "0"], &["--frame", "relaxed.json"]);
     place.refuses(&["run", "out/results.h5"], &["results.h5", "not a text file"]);
 

@@ -300,8 +300,7 @@ impl View {
         let range = |axis: usize| {
             let first = ((-s[axis] - extent[axis]) / period).ceil();
             let last = ((1.0 - s[axis] + extent[axis]) / period).floor();
-            // of a part there may be no image at all
-            (0..=(last - first) as i64).filter(move |_| last >= first).map(move |n| (first + n as f64) * period)
+            (0..=(last - first) as i64).map(move |n| (first + n as f64) * period) // of a part maybe none
         };
         let mut shifts = Vec::new();
         for n1 in range(0) {
