@@ -20,7 +20,7 @@ use crate::stiffness::{Cholesky, Stiffness, sums};
 /// Once that has been met with, steps minimise a quadratic form of the energy in which contacts push one way only: those
 /// that open on the way are left out and those that close are put in, chosen again up to [`CHOICES`] times.
 ///
-/// Disks have nothing but contacts: conjugate gradients, then Newton steps at once.
+/// Disks have nothing but contacts: conjugate gradients until they press on each other, then Newton steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Newton;
 
@@ -37,6 +37,9 @@ const ROUGH: f64 = 1e-4;
 /// minimum, soft contacts vanish quickly, and hard ones bounce. Not more iterations than these are spent on it at once.
 const BALANCED: f64 = 1e-4;
 const BALANCING: u64 = 100_000;
+/// Disks are brought to their minimum by Newton's method from where forces are balanced to this part of the pressure. Just
+/// below the onset they never are: overlaps vanish slowly there, and forces with them.
+const PRESSED: f64 = 1e-2;
 /// Polygons are relaxed by FIRE to this force, in the same unit; from there on its bounces off hard contacts cost more than
 /// the line searches of conjugate gradients.
 const FINE: f64 = 1e-5;
@@ -141,7 +144,7 @@ impl Search<'_> {
         let least = SOFTEST * self.goal.force_tolerance;
         let mut tolerance = ON_THE_WAY * self.unit;
         while tolerance > least {
-            let push = system.energies()?.pressure() * system.spacing();
+            let push = self.push(system)?;
             tracing::debug!(push, tolerance, "soft contacts");
             if tolerance <= BALANCED * push {
                 break;
@@ -158,6 +161,11 @@ impl Search<'_> {
             }
         }
         Ok(())
+    }
+
+    /// What the pressure of contacts is on a particle, a force.
+    fn push<M: Model>(&self, system: &mut System<M>) -> Result<f64, EngineError> {
+        Ok(system.energies()?.pressure() * system.spacing())
     }
 
     /// By FIRE or conjugate gradients alone.
@@ -182,7 +190,9 @@ impl Search<'_> {
             if !self.rest(system, &goal)? {
                 return Ok(false);
             }
-            if self.report.max_force <= tolerance || self.newton(system, tolerance, 1.0)? {
+            // disks that do not press on each other yet are still on their way to other contacts
+            let is_near = M::BODIES || self.report.max_force <= PRESSED * self.push(system)?;
+            if self.report.max_force <= tolerance || is_near && self.newton(system, tolerance, 1.0)? {
                 return Ok(true);
             }
             rough *= 0.1;
@@ -268,6 +278,7 @@ impl Search<'_> {
         cap: f64,
     ) -> Option<(Vec<Vec2>, f64)> {
         self.cholesky.load(system, stiffness);
+        let least = SHIFT_LEAST * self.stiffest;
         for _ in 0..SHIFTS {
             if self.cholesky.factorize(&system.comm, *shift) {
                 let forces: Vec<Vec2> = system.forces().iter().zip(changes).map(|(&f, &c)| add(f, c)).collect();
@@ -278,7 +289,9 @@ impl Search<'_> {
                 }
                 *shift *= (longest / cap).min(30.0);
             } else {
-                *shift = (SHIFT_RISE * *shift).max(SHIFT_FIRST * self.stiffest);
+                // bodies need a shift often, and one that is too long hides their soft modes
+                let first = if M::BODIES && *shift > least { 0.0 } else { SHIFT_FIRST * self.stiffest };
+                *shift = (SHIFT_RISE * *shift).max(first);
             }
         }
         None
