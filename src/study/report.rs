@@ -92,14 +92,18 @@ fn packings_table(ensembles: &[Ensemble]) -> String {
         let onsets = s.onsets();
         let mean = crate::statistics::mean(onsets.iter().copied());
         let spread = crate::statistics::spread(onsets.iter().copied());
+        let error = spread / (onsets.len() as f64).sqrt();
+        // one packing has no spread
+        let known = |x: f64, text: String| if x.is_finite() { text } else { "–".into() };
         let reason = s.failures.first().map_or(String::new(), |reason| format!(", such as: {}", escape(reason)));
         let _ = writeln!(
             rows,
-            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{mean:.5} ± {:.5}</td><td>{spread:.5}</td><td>{}{reason}</td></tr>",
+            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}{reason}</td></tr>",
             escape(&s.ensemble),
             s.n_particles,
             s.all.len(),
-            spread / (onsets.len() as f64).sqrt(),
+            known(mean, if error.is_finite() { format!("{mean:.5} ± {error:.5}") } else { format!("{mean:.5}") }),
+            known(spread, format!("{spread:.5}")),
             s.failures.len(),
         );
     }
