@@ -26,7 +26,7 @@ const DILUTE: f64 = 0.8;
 
 /// A packing at its onset, sought in first steps of `step` and relaxed until contacts without force have opened. By Newton's method: one packing of 1024 in twelve takes conjugate gradients more than a million
 /// iterations to come down to these forces.
-fn at_onset(n: u32, seed: u64, step: f64) -> Result<(System<SoftDisks>, Onset), ProtocolError> {
+fn at_onset(n: u32, seed: u64, step: f64, goal: &Goal) -> Result<(System<SoftDisks>, Onset), ProtocolError> {
     let mut system = random_soft_disks(Comm::alone(), n, seed, 0.2)?;
     let coarse = step.max(1e-3);
     let mut density = 0.2 + coarse;
@@ -35,7 +35,7 @@ fn at_onset(n: u32, seed: u64, step: f64) -> Result<(System<SoftDisks>, Onset), 
         density += coarse;
     }
     let search = OnsetSearch { step, smallest_step: 1e-12, pressure: [1e-10, 1e-8] };
-    let onset = find_onset(&mut system, &Newton, &SETTLED, &search, |_, _, _| ())?;
+    let onset = find_onset(&mut system, &Newton, goal, &search, |_, _, _| ())?;
     Ok((system, onset))
 }
 
@@ -117,7 +117,7 @@ impl AtOnset {
     /// balance. Collective.
     pub fn of_seeds(comm: &Comm, n: u32, seeds: RangeInclusive<u64>, step: f64) -> Vec<AtOnset> {
         let rows = over_seeds(comm, seeds, |seed| {
-            let (mut system, onset) = at_onset(n, seed, step)?;
+            let (mut system, onset) = at_onset(n, seed, step, &SETTLED)?;
             let contacts = Contacts::of(&mut system, Rattlers::default())?;
             let backbone = contacts.n_backbone() as f64;
             let removed = rattler_ids(&system, &contacts);
@@ -260,7 +260,8 @@ pub fn soft_disks(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>
 /// z₀ and G₀ (in ε/σ_LS², σ_LS = 1.2 the mean diameter) of one packing: least squares of z − z_J = z₀ √Δφ and
 /// G = G₀ √Δφ over Δφ = 0.01 to 0.11, unstable states left out.
 fn amplitudes(n: u32, seed: u64) -> Result<[f64; 2], ProtocolError> {
-    let (mut system, onset) = at_onset(n, seed, 1e-3)?;
+    // ten times the force: rounding keeps one packing in thirty of this size above the smallest
+    let (mut system, onset) = at_onset(n, seed, 1e-3, &Goal { force_tolerance: 1e-14, ..SETTLED })?;
     let z_onset = Contacts::of(&mut system, Rattlers::default())?.contact_number();
     let (mut products, mut squares) = ([0.0; 2], [0.0; 2]);
     for k in 1..=11 {
