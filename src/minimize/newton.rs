@@ -41,8 +41,10 @@ const BALANCING: u64 = 100_000;
 /// below the onset they never are: overlaps vanish slowly there, and forces with them.
 const PRESSED: f64 = 1e-2;
 /// Polygons are relaxed by FIRE to this force, in the same unit; from there on its bounces off hard contacts cost more than
-/// the line searches of conjugate gradients.
+/// the line searches of conjugate gradients. Those may come to nothing where outlines only just touch, whereas FIRE always
+/// gets on: it goes on after so many iterations of them.
 const FINE: f64 = 1e-5;
+const PATIENCE: u64 = 50_000;
 /// Largest overlap of contacts, over [`Model::step_cap`], that forces may tell of for a change to count as small.
 const SMALL: f64 = 0.1;
 /// Newton steps after which a level counts as not reached.
@@ -170,9 +172,27 @@ impl Search<'_> {
 
     /// By FIRE or conjugate gradients alone.
     fn rest<M: Model>(&mut self, system: &mut System<M>, goal: &Goal) -> Result<bool, EngineError> {
-        let by_fire = M::BODIES && goal.force_tolerance >= FINE * self.unit;
-        let minimized =
-            if by_fire { Fire.minimize(system, goal)? } else { ConjugateGradient.minimize(system, goal)? };
+        if !M::BODIES {
+            return self.relax(system, &ConjugateGradient, goal);
+        }
+        let mut left = *goal;
+        if goal.force_tolerance < FINE * self.unit {
+            let patient = Goal { max_iterations: goal.max_iterations.min(PATIENCE), ..*goal };
+            if self.relax(system, &ConjugateGradient, &patient)? {
+                return Ok(true);
+            }
+            left.max_iterations -= patient.max_iterations;
+        }
+        self.relax(system, &Fire, &left)
+    }
+
+    fn relax<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        minimizer: &impl Minimizer,
+        goal: &Goal,
+    ) -> Result<bool, EngineError> {
+        let minimized = minimizer.minimize(system, goal)?;
         let Report { iterations, force_evaluations, max_force } = *minimized.report();
         self.report.iterations += iterations;
         self.report.force_evaluations += force_evaluations;
