@@ -504,6 +504,16 @@ fn a_state_that_does_not_converge_ends_with_its_own_code() {
 }
 
 #[test]
+fn outlines_that_only_just_touch_relax() {
+    // conjugate gradients alone are lost below the onset of this packing
+    let place = Place::with("scene.toml", "model = 'dp'\nn_particles = 16\nseed = 6\npotential.preset = 'paper'\n");
+    let settings = ["onset.step=0.01", "compression.increments=[0.01]", "minimize.max_iterations=200_000"];
+    let arguments = [vec!["run", "scene.toml", "-o", "out"], settings.iter().flat_map(|&s| ["--set", s]).collect()];
+    let run = place.jamhpc(&arguments.concat()).succeeds();
+    assert!(run.stdout.contains("onset: rho_J = 0.824"), "{}", run.stdout);
+}
+
+#[test]
 fn a_relaxation_that_does_not_converge_hands_its_state_on() {
     let place = Place::new();
     let disks = "{\"model\":\"sp\",\"box\":{\"lx\":4,\"ly\":4},\"epsilon\":1,\
