@@ -41,9 +41,9 @@ const BALANCING: u64 = 100_000;
 /// below the onset they never are: overlaps vanish slowly there, and forces with them.
 const PRESSED: f64 = 1e-2;
 /// Polygons are relaxed by FIRE to this force, in the same unit; from there on its bounces off hard contacts cost more than
-/// the line searches of conjugate gradients. Those may come to nothing where outlines only just touch, whereas FIRE always
-/// gets on: it goes on after so many iterations of them.
+/// the line searches of conjugate gradients.
 const FINE: f64 = 1e-5;
+/// Those may come to nothing where outlines only just touch: after so many of their iterations FIRE goes on.
 const PATIENCE: u64 = 50_000;
 /// Largest overlap of contacts, over [`Model::step_cap`], that forces may tell of for a change to count as small.
 const SMALL: f64 = 0.1;
