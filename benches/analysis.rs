@@ -11,6 +11,7 @@ use jamhpc::geometry::PeriodicBox;
 use jamhpc::minimize::{ConjugateGradient, Goal, Minimizer};
 use jamhpc::model::SoftDisks;
 use jamhpc::observe::{Contacts, Moduli, PackingFraction, Rattlers, Shape, Voids};
+use jamhpc::profile::peak_memory;
 use jamhpc::protocol::{Species, random_disks};
 use std::process::Command;
 use std::time::Instant;
@@ -80,15 +81,8 @@ fn show(system: &mut System<SoftDisks>, what: &str, work: impl FnOnce(&mut Syste
     let start = Instant::now();
     let result = work(system);
     let seconds = system.comm.max(start.elapsed().as_secs_f64());
-    let bytes = system.comm.max(peak_bytes()) * system.comm.size() as f64 / system.n_particles() as f64;
+    let bytes = system.comm.max(peak_memory()) * system.comm.size() as f64 / system.n_particles() as f64;
     if system.comm.is_root() {
         println!("{what:<14} {seconds:8.2}  {bytes:27.0}  {result}");
     }
-}
-
-/// Peak resident memory of this process.
-fn peak_bytes() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find(|l| l.starts_with("VmHWM"));
-    line.and_then(|l| l.split_whitespace().nth(1)?.parse::<f64>().ok()).map_or(f64::NAN, |kib| kib * 1024.0)
 }

@@ -12,8 +12,8 @@ use jamhpc::geometry::PeriodicBox;
 use jamhpc::minimize::{Fire, Goal, Minimizer, Newton, Report};
 use jamhpc::model::{Deformable, DeformableParameters, Harmonic, VertexEdge};
 use jamhpc::observe::{Contacts, Rattlers};
+use jamhpc::profile::cpu_seconds;
 use jamhpc::protocol::{Species, compress_to, deformable_particles};
-use rustix::time::{ClockId, clock_gettime};
 
 type Packing = System<Deformable<VertexEdge>>;
 
@@ -108,10 +108,4 @@ fn print(packing: &mut Packing, density: f64, method: &str, report: &Report, sec
         energies.total,
         energies.pressure(),
     );
-}
-
-/// CPU time of this process.
-fn cpu_seconds() -> f64 {
-    let now = clock_gettime(ClockId::ProcessCPUTime);
-    now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
 }

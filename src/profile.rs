@@ -179,6 +179,12 @@ pub fn counts() -> [f64; Count::ALL.len()] {
     OF_THIS_RANK.counts()
 }
 
+/// CPU time of this process, of all its threads.
+pub fn cpu_seconds() -> f64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
+}
+
 /// Peak resident memory of this process in bytes; NaN where the system does not tell (`/proc`).
 pub fn peak_memory() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

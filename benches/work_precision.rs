@@ -1,7 +1,7 @@
 //! Errors of one state against the work that it took: a relaxed packing is compressed by a small step and relaxed again
-//! by each minimiser to each tolerance.
+//! by each minimiser to each tolerance. `scripts/work-precision` starts this program with the folder of its results, which
+//! must be there. Scenes are those of `jamhpc run`, as differences from its defaults.
 
-use super::{cpu_seconds, write};
 use jamhpc::comm::Comm;
 use jamhpc::engine::System;
 use jamhpc::failure::Failure;
@@ -9,6 +9,7 @@ use jamhpc::minimize::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, Newt
 use jamhpc::model::Model;
 use jamhpc::observe::{Moduli, Rattlers, Sample};
 use jamhpc::output::plot::{Axes, Series, panels};
+use jamhpc::profile::cpu_seconds;
 use jamhpc::protocol::compress_to;
 use jamhpc::run::{Task, with_system};
 use jamhpc::scene::Scene;
@@ -61,14 +62,21 @@ struct Row {
     report: Report,
     /// CPU time over that of one force evaluation of the same case.
     work: f64,
-    cpu_seconds: f64,
+    seconds: f64,
     /// Of [`NAMES`], against the minimum that this state goes to when it is relaxed on: parts of it, but z as it is.
     errors: [f64; 5],
     /// The minimum is that of Newton's method.
     is_same: bool,
 }
 
-pub fn run(out: &Path) {
+fn main() {
+    match std::env::args().skip(1).find(|word| !word.starts_with('-')) {
+        Some(out) => run(Path::new(&out)),
+        None => println!("scripts/work-precision starts this program"),
+    }
+}
+
+fn run(out: &Path) {
     let mut rows = Vec::new();
     for case in CASES {
         let (name, model, lines, density, _) = case;
@@ -78,8 +86,9 @@ pub fn run(out: &Path) {
         with_system(Comm::alone(), &scene, Relax { case, rows: &mut rows }).unwrap_or_else(|e| panic!("{name}: {e}"));
         print(&rows[before..]);
     }
-    write(&out.join("tolerances.csv"), &csv(&rows));
-    write(&out.join("tolerances.svg"), &plot(&rows));
+    for (file, text) in [("tolerances.csv", csv(&rows)), ("tolerances.svg", plot(&rows))] {
+        std::fs::write(out.join(file), text).unwrap_or_else(|error| panic!("{file}: {error}"));
+    }
     println!("\nleast work for errors of at most 1 % in p and G and 0.05 in z\n");
     for (case, ..) in CASES {
         for method in ["fire", "cg", "newton"] {
@@ -136,7 +145,7 @@ impl Task for Relax<'_> {
                 system.restore(pbox, start.clone());
                 let begin = cpu_seconds();
                 let minimized = by(method, &mut system, &goal(tolerance))?;
-                let cpu_seconds = cpu_seconds() - begin;
+                let seconds = cpu_seconds() - begin;
                 let now = measured(&mut system)?;
                 let _ = if is_rough {
                     Fire.minimize(&mut system, &goal(exact))?
@@ -154,8 +163,8 @@ impl Task for Relax<'_> {
                     method,
                     tolerance,
                     report: *minimized.report(),
-                    work: cpu_seconds / cost,
-                    cpu_seconds,
+                    work: seconds / cost,
+                    seconds,
                     errors,
                     is_same: (end[0] / minimum - 1.0).abs() <= ONE_MINIMUM,
                 });
@@ -185,10 +194,8 @@ fn measured<M: Model>(system: &mut System<M>) -> Result<[f64; 5], Failure> {
 
 fn print(rows: &[Row]) {
     println!("\n{}", rows[0].case);
-    println!(
-        "method  tolerance  max|F|    forces      work   CPU s   errors of {}",
-        NAMES.map(|n| format!("{n:8}")).concat()
-    );
+    let names = NAMES.map(|name| format!("{name:8}")).concat();
+    println!("method  tolerance  max|F|    forces      work   CPU s   errors of {}", names.trim_end());
     for row in rows {
         let errors = row.errors.map(|e| format!(" {e:7.0e}")).concat();
         println!(
@@ -198,7 +205,7 @@ fn print(rows: &[Row]) {
             row.report.max_force,
             row.report.force_evaluations,
             row.work,
-            row.cpu_seconds,
+            row.seconds,
             if row.is_same { "" } else { "  another minimum" },
         );
     }
@@ -209,11 +216,11 @@ fn csv(rows: &[Row]) -> String {
     text += "error_energy,error_pressure,error_contact_number,error_shape,error_shear_modulus,same_minimum\n";
     for row in rows {
         let errors = row.errors.map(|e| format!("{e:e}")).join(",");
-        let Row { case, method, tolerance, report, work, cpu_seconds, is_same, .. } = row;
+        let Row { case, method, tolerance, report, work, seconds, is_same, .. } = row;
         let Report { max_force, force_evaluations, .. } = report;
         writeln!(
             text,
-            "\"{case}\",{method},{tolerance:e},{max_force:e},{force_evaluations},{work:.0},{cpu_seconds:.4},{errors},{is_same}",
+            "\"{case}\",{method},{tolerance:e},{max_force:e},{force_evaluations},{work:.0},{seconds:.4},{errors},{is_same}",
         )
         .expect("a string takes all");
     }
