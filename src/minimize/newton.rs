@@ -16,6 +16,10 @@ use crate::stiffness::{Cholesky, Stiffness, sums};
 /// ones; where the minimum itself disappears on the way, FIRE finds the next one. After a small change of a relaxed
 /// state Newton steps at full stiffness are tried first: they follow the minimum of before.
 ///
+/// Outlines that press on each other sink into each other when their contacts are much softer than their shapes, and end
+/// in another minimum, from where the way back is long. So contacts are first made only as soft as shapes are; softer
+/// ones are for outlines that hardly touch.
+///
 /// With the contacts at its start alone a step ends at the next outline, and near the onset hundreds of them lead nowhere.
 /// Once that has been met with, steps minimise a quadratic form of the energy in which contacts push one way only: those
 /// that open on the way are left out and those that close are put in, chosen again up to [`CHOICES`] times.
@@ -26,6 +30,10 @@ pub struct Newton;
 
 /// The softest contacts, as a part of their stiffness: the stiffest modes are then those of the areas.
 const SOFTEST: f64 = 1e-3;
+/// With mild contacts their stiffest modes are this part of those of shapes. They are made milder than [`SOFTEST`] where
+/// that is ten times softer, and given up where so many iterations do not end in outlines that press on each other.
+const MILD: f64 = 0.5;
+const MILDLY: u64 = 10_000;
 /// Contacts harden by this factor at once where nothing speaks against it, and by no less than the other.
 const HARDER: f64 = 10.0;
 const HARDER_LEAST: f64 = 1.7;
@@ -37,8 +45,8 @@ const ROUGH: f64 = 1e-4;
 /// minimum, soft contacts vanish quickly, and hard ones bounce. Not more iterations than these are spent on it at once.
 const BALANCED: f64 = 1e-4;
 const BALANCING: u64 = 100_000;
-/// Disks are brought to their minimum by Newton's method from where forces are balanced to this part of the pressure. Just
-/// below the onset they never are: overlaps vanish slowly there, and forces with them.
+/// Particles press on each other where forces are balanced to this part of the pressure: disks are brought to their minimum
+/// by Newton's method from there. Just below the onset they never are: overlaps vanish slowly there, and forces with them.
 const PRESSED: f64 = 1e-2;
 /// Polygons are relaxed by FIRE to this force, in the same unit; from there on its bounces off hard contacts cost more than
 /// the line searches of conjugate gradients.
@@ -114,12 +122,16 @@ impl Search<'_> {
             }
             system.restore(pbox, before);
         }
-        let mut level = SOFTEST;
+        let mut level = mild_level(&at(0.0), full);
         system.model = at(level);
+        if level <= 10.0 * SOFTEST || !self.presses(system)? {
+            level = SOFTEST;
+            system.model = at(level);
+        }
         if !self.settle(system, ON_THE_WAY * self.unit)? {
             return Ok(false);
         }
-        self.balance_softly(system)?;
+        self.balance_softly(system, level)?;
         let mut harder = HARDER;
         while level < 1.0 {
             let next = (harder * level).min(1.0);
@@ -140,10 +152,17 @@ impl Search<'_> {
         Ok(true)
     }
 
-    /// Relaxes soft contacts until forces are balanced to a small part of what contacts push with, or to what is balance
-    /// at full stiffness, too.
-    fn balance_softly<M: Model>(&mut self, system: &mut System<M>) -> Result<(), EngineError> {
-        let least = SOFTEST * self.goal.force_tolerance;
+    /// Relaxes roughly; whether that has led to outlines that press on each other.
+    fn presses<M: Model>(&mut self, system: &mut System<M>) -> Result<bool, EngineError> {
+        let left = self.goal.max_iterations.saturating_sub(self.report.iterations);
+        let goal = Goal { force_tolerance: ROUGH * self.unit, max_iterations: left.min(MILDLY) };
+        Ok(self.relax(system, &Fire, &goal)? && self.report.max_force <= PRESSED * self.push(system)?)
+    }
+
+    /// Relaxes contacts that are softened to `level` until forces are balanced to a small part of what they push with, or
+    /// to what is balance at full stiffness, too.
+    fn balance_softly<M: Model>(&mut self, system: &mut System<M>, level: f64) -> Result<(), EngineError> {
+        let least = level * self.goal.force_tolerance;
         let mut tolerance = ON_THE_WAY * self.unit;
         while tolerance > least {
             let push = self.push(system)?;
@@ -370,6 +389,12 @@ impl Search<'_> {
         }
         Ok(max_force)
     }
+}
+
+/// What mild contacts are as a part of their stiffness, from the stiffest modes of shapes alone and with contacts.
+fn mild_level<M: Model>(shapes: &M, full: &M) -> f64 {
+    let stiffest = |model: &M| model.time_step().powi(-2);
+    MILD * (stiffest(shapes) / (stiffest(full) - stiffest(shapes))).min(1.0)
 }
 
 /// −dU/dt of own points that move by `directions` t.

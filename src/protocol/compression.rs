@@ -3,6 +3,10 @@ use crate::engine::System;
 use crate::minimize::{Goal, Minimized, Minimizer, Report};
 use crate::model::Model;
 
+/// max|F| of the states between a density and the next that only stand for a change too large for rigid outlines, in the
+/// unit of [`Model::force_unit`]: enough for them to part.
+const BETWEEN: f64 = 1e-3;
+
 /// Densities at which a compression is sampled.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Increments {
@@ -26,7 +30,8 @@ impl Increments {
 }
 
 /// Sets the density of the present particles by changing the box (centres move affinely, particles as rigid wholes),
-/// then minimises; a change too large for rigid outlines is made in several such steps. The density after that differs a little for deformable particles, whose shells grow as they deform.
+/// then minimises; a change too large for rigid outlines is made in several such steps, all but the last relaxed roughly.
+/// The density after that differs a little for deformable particles, whose shells grow as they deform.
 pub fn compress_to<M: Model>(
     system: &mut System<M>,
     minimizer: &impl Minimizer,
@@ -38,7 +43,9 @@ pub fn compress_to<M: Model>(
         let next = density.min(area / system.pbox().area() * system.densest_step());
         let pbox = system.pbox().with_area(area / next);
         system.deform_rigidly(pbox);
-        match minimizer.minimize(system, goal)? {
+        let least = if next == density { 0.0 } else { BETWEEN * system.model.force_unit() };
+        let goal = Goal { force_tolerance: goal.force_tolerance.max(least), ..*goal };
+        match minimizer.minimize(system, &goal)? {
             Minimized::Converged(report) if next == density => return Ok(report),
             Minimized::Converged(_) => {}
             Minimized::Unconverged(report) => return Err(ProtocolError::Unconverged { density: next, report }),
