@@ -10,7 +10,8 @@ use crate::particles::{Bodies, ForeignPoint, Particles};
 use crate::profile::{self, Count, Phase};
 use crate::threads::{self, Chunk};
 use std::ops::Range;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 /// Why a system cannot be set up or continued. All ranks get the same value.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -52,6 +53,14 @@ pub struct Counters {
     pub migrated: u64,
 }
 
+/// Who follows long minimisations from outside. Nothing of it touches their bits.
+pub struct Watch {
+    /// Told now and then of the force evaluations so far and the largest force.
+    pub told: Box<dyn Fn(u64, f64) + Send + Sync>,
+    /// This rank is asked to end.
+    pub ends: Arc<AtomicBool>,
+}
+
 /// Energy and stress of the whole system.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Energies {
@@ -91,6 +100,7 @@ pub struct System<M: Model> {
     pub comm: Comm,
     pub model: M,
     pub counters: Counters,
+    pub watch: Option<Watch>,
     grid: ProcessGrid,
     pbox: PeriodicBox,
     particles: Particles,
@@ -154,6 +164,7 @@ impl<M: Model> System<M> {
             comm,
             model,
             counters: Counters::default(),
+            watch: None,
             grid,
             pbox,
             forces: Vec::new(),
@@ -182,6 +193,18 @@ impl<M: Model> System<M> {
 
     pub fn particles(&self) -> &Particles {
         &self.particles
+    }
+
+    /// Tells whoever watches how far a minimisation is.
+    pub fn tell(&self, max_force: f64) {
+        if let Some(watch) = &self.watch {
+            (watch.told)(self.counters.forces, max_force);
+        }
+    }
+
+    /// Whether some rank is asked to end. Collective.
+    pub fn is_to_end(&self) -> bool {
+        self.comm.any(self.watch.as_ref().is_some_and(|watch| watch.ends.load(Ordering::Relaxed)))
     }
 
     /// Forces on this rank's own points, as of the last evaluation.

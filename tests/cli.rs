@@ -632,6 +632,19 @@ fn signals_write_checkpoints() {
     }
 }
 
+#[test]
+fn a_signal_ends_a_minimisation_that_cannot_be_left() {
+    // forces never get as small as this, and iterations last for hours
+    let place = Place::in_memory(
+        "model = 'dp'\nn_particles = 64\n[initial]\npacking_fraction = 0.7\n[compression]\ndensities = [0.72]\n\
+         [minimize]\nmethod = 'newton'\nforce_tolerance = 1e-16\nmax_iterations = 1_000_000_000\n",
+    );
+    let mut running = place.spawn(&RUN);
+    running.until(|| place.path().join("out/results.h5.part").exists());
+    running.signal("USR2");
+    running.end().fails_with(85, &["ended by a signal", "out/checkpoint", "--resume"]);
+}
+
 fn ended_by(signal: &str) {
     let scene = INTERRUPTED[0].replace("128", "8192").replace("interval = 0", "interval = 1e9");
     let place = Place::in_memory(&scene);

@@ -99,6 +99,7 @@ impl Minimizer for ConjugateGradient {
         let until = report.iterations.saturating_add(iterations);
         loop {
             if report.iterations >= until {
+                system.tell(report.max_force);
                 *memory = memory_of(&Memory { base, length, trials, grids: sums.grids, report });
                 return Ok(None);
             }

@@ -86,6 +86,7 @@ impl Minimizer for Fire {
         let until = report.iterations.saturating_add(iterations);
         loop {
             if report.iterations >= until {
+                system.tell(report.max_force);
                 *memory = memory_of(&Memory { dt, alpha, uphill_free, velocity2, grids: sums.grids, report });
                 return Ok(None);
             }

@@ -56,6 +56,10 @@ impl Minimized {
 /// Forces beyond this, in the scene's units, can only come from a broken state.
 const RUNAWAY: f64 = 1e12;
 
+/// Iterations between two looks at the clock and the signals: fewer than a second's even of millions of particles, and
+/// enough that looking costs nothing.
+pub const TURN: u64 = 64;
+
 /// A way to minimise. Implementations must give the same bits on any number of ranks and threads: decide only by
 /// values that are reduced over all ranks by order-independent sums or maxima.
 pub trait Minimizer {
@@ -65,7 +69,8 @@ pub trait Minimizer {
     /// must know at the next turn lies in `memory` (empty before the first, the same on all ranks) and in the carried
     /// vectors of the particles: put back with them, also in another process, it goes on to the same bits.
     ///
-    /// A minimiser that cannot be left does everything in one turn.
+    /// A minimiser that cannot be left does everything in one turn, and answers [`EngineError::Interrupted`] where
+    /// [`System::is_to_end`].
     fn advance<M: Model>(
         &self,
         system: &mut System<M>,

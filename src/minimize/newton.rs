@@ -1,4 +1,4 @@
-use super::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, RUNAWAY, Report};
+use super::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, RUNAWAY, Report, TURN};
 use crate::comm::FusedSums;
 use crate::engine::{EngineError, System};
 use crate::geometry::{Vec2, add, dot, norm};
@@ -211,7 +211,13 @@ impl Search<'_> {
         minimizer: &impl Minimizer,
         goal: &Goal,
     ) -> Result<bool, EngineError> {
-        let minimized = minimizer.minimize(system, goal)?;
+        let mut memory = Vec::new();
+        let minimized = loop {
+            if let Some(minimized) = minimizer.advance(system, goal, &mut memory, TURN)? {
+                break minimized;
+            }
+            heed(system)?;
+        };
         let Report { iterations, force_evaluations, max_force } = *minimized.report();
         self.report.iterations += iterations;
         self.report.force_evaluations += force_evaluations;
@@ -259,6 +265,8 @@ impl Search<'_> {
                 return Ok(false);
             }
             self.report.iterations += 1;
+            system.tell(max_force);
+            heed(system)?;
             if looks_ahead && system.prepare_for_reach()? {
                 self.forces(system)?;
             }
@@ -389,6 +397,11 @@ impl Search<'_> {
         }
         Ok(max_force)
     }
+}
+
+/// Nothing of a minimisation is kept that ends before its time.
+fn heed<M: Model>(system: &System<M>) -> Result<(), EngineError> {
+    if system.is_to_end() { Err(EngineError::Interrupted) } else { Ok(()) }
 }
 
 /// What mild contacts are as a part of their stiffness, from the stiffest modes of shapes alone and with contacts.

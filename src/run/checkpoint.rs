@@ -17,7 +17,7 @@ use crate::comm::Comm;
 use crate::engine::{EngineError, System};
 use crate::failure::Failure;
 use crate::geometry::PeriodicBox;
-use crate::minimize::{Goal, Minimized, Minimizer, Report};
+use crate::minimize::{Goal, Minimized, Minimizer, Report, TURN};
 use crate::model::Model;
 use crate::output::folder::write_whole;
 use crate::output::{OutputError, Record, read_records, write_records};
@@ -34,9 +34,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Iterations between two looks at the clock and the signals: fewer than a second's even of millions of particles, and
-/// enough that looking costs nothing.
-const TURN: u64 = 64;
 /// Outcomes that a rank keeps in memory, in bytes, before they are written whatever the time.
 const MOST_KEPT: usize = 64 << 20;
 /// Which program a checkpoint is from.
@@ -131,6 +128,11 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
         Ok(value)
     }
 
+    /// Set when a signal asks for the end.
+    pub fn ends(&self) -> Arc<AtomicBool> {
+        self.list.borrow().signals.end.clone()
+    }
+
     /// Why [`EngineError::Interrupted`] was answered, if it was.
     pub fn interruption(&self) -> Option<Failure> {
         self.list.borrow_mut().failure.take()
@@ -218,7 +220,11 @@ impl List {
         }
         let mut memory = self.take_up(system)?;
         loop {
-            let minimized = inner.advance(system, goal, &mut memory, TURN)?;
+            let minimized = match inner.advance(system, goal, &mut memory, TURN) {
+                // of a minimiser that cannot be left only this minimisation is lost
+                Err(EngineError::Interrupted) => None,
+                done => done?,
+            };
             if let Some(minimized) = minimized {
                 let outcome = Outcome {
                     edges: edges(system.pbox()),

@@ -9,7 +9,7 @@ pub mod setup;
 mod table;
 
 use crate::comm::Comm;
-use crate::engine::{EngineError, System};
+use crate::engine::{EngineError, System, Watch};
 use crate::failure::Failure;
 use crate::minimize::{ConjugateGradient, Fire, Minimizer, Newton, Report};
 use crate::model::{EdgeEdge, Model, VertexEdge};
@@ -90,10 +90,13 @@ fn keep<M: Model>(
     let directory = Path::new(&scene.output.directory);
     // held until the end of the run
     let folder = Folder::prepare(&system.comm, directory).map_err(|e| Failure::Input(e.to_string()))?;
-    let mut progress = Progress::new(speaks && system.comm.is_root());
+    let progress = Progress::new(speaks && system.comm.is_root());
+    let (speaker, unit) = (progress.clone(), system.model.force_unit());
+    let told = Box::new(move |forces, max_force| speaker.relaxing(forces, max_force / unit));
+    system.watch = Some(Watch { told, ends: checkpoints.ends() });
     let mut records = Records::create(&system, scene, &folder, resume)?;
     let moduli = |system: &mut System<M>| checkpoints.remember(system, Moduli::of);
-    let outcome = protocol(&mut system, &checkpoints, moduli, scene, &mut records, &mut progress);
+    let outcome = protocol(&mut system, &checkpoints, moduli, scene, &mut records, &progress);
     progress.finish();
     if let Some(interruption) = checkpoints.interruption() {
         return Err(interruption);
@@ -121,7 +124,7 @@ pub fn protocol<M: Model>(
     moduli: impl Fn(&mut System<M>) -> Result<Moduli, Failure>,
     scene: &Scene,
     records: &mut impl Sink,
-    progress: &mut Progress,
+    progress: &Progress,
 ) -> Result<(), Failure> {
     let goal = setup::goal(scene);
     refuse_crossings(system)?;

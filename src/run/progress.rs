@@ -2,42 +2,57 @@
 //! every state as a log event (`--log-format json`, or `--log-level info`).
 
 use std::io::{IsTerminal, Write};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Between two plain lines.
 const INTERVAL: Duration = Duration::from_secs(5);
+/// Without a new state for so long, a plain line says how far the minimisation is.
+const PATIENCE: Duration = Duration::from_secs(30);
 /// Between two changes of the line on a terminal.
 const TERMINAL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// One speaker for the whole run; silent on all ranks but rank 0.
+#[derive(Clone)]
 pub struct Progress {
     speaks: bool,
     terminal: bool,
     started: Instant,
-    last: Option<Instant>,
+    last: Arc<Mutex<Option<Instant>>>,
 }
 
 impl Progress {
     pub fn new(speaks: bool) -> Self {
         // Open MPI gives every rank a terminal as standard output; the standard error tells the truth
         let terminal = std::io::stderr().is_terminal();
-        Progress { speaks, terminal, started: Instant::now(), last: None }
+        Progress { speaks, terminal, started: Instant::now(), last: Arc::default() }
     }
 
     /// A minimised state; shown if it is time for it.
-    pub fn state(&mut self, phase: &str, density: f64, pressure: f64, iterations: u64) {
+    pub fn state(&self, phase: &str, density: f64, pressure: f64, iterations: u64) {
         tracing::info!(phase, density, pressure, iterations, "minimised");
-        let interval = if self.terminal { TERMINAL_INTERVAL } else { INTERVAL };
-        if !self.speaks || self.last.is_some_and(|last| last.elapsed() < interval) {
+        self.show(None, INTERVAL, || {
+            format!("{phase:<11} density {density:.6}  pressure {pressure:9.3e}  {iterations} iterations")
+        });
+    }
+
+    /// A state on its way to force balance; shown if nothing else has been for long. `max_force` in the unit of forces.
+    pub fn relaxing(&self, forces: u64, max_force: f64) {
+        self.show(Some(self.started), PATIENCE, || {
+            format!("relaxing    max|F| {max_force:9.3e}  {forces} force evaluations so far")
+        });
+    }
+
+    /// `before` stands for a line if there has been none.
+    fn show(&self, before: Option<Instant>, interval: Duration, text: impl FnOnce() -> String) {
+        let interval = if self.terminal { TERMINAL_INTERVAL } else { interval };
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if !self.speaks || last.or(before).is_some_and(|last| last.elapsed() < interval) {
             return;
         }
-        self.last = Some(Instant::now());
+        *last = Some(Instant::now());
         let seconds = self.started.elapsed().as_secs();
-        let line = format!(
-            "[{:3}:{:02}] {phase:<11} density {density:.6}  pressure {pressure:9.3e}  {iterations} iterations",
-            seconds / 60,
-            seconds % 60
-        );
+        let line = format!("[{:3}:{:02}] {}", seconds / 60, seconds % 60, text());
         if self.terminal {
             eprint!("\r\x1b[K{line}");
             let _ = std::io::stderr().flush();
@@ -55,7 +70,7 @@ impl Progress {
 
     /// Clears the rewritten line, so that whatever comes next starts on a line of its own.
     pub fn finish(&self) {
-        if self.speaks && self.terminal && self.last.is_some() {
+        if self.speaks && self.terminal && self.last.lock().unwrap_or_else(PoisonError::into_inner).is_some() {
             eprint!("\r\x1b[K");
         }
     }

@@ -100,14 +100,7 @@ struct Make<'a> {
 
 impl Task for Make<'_> {
     fn act<M: Model>(self, mut system: System<M>, minimizer: &impl Minimizer) -> Result<(), Failure> {
-        protocol(
-            &mut system,
-            minimizer,
-            |system| Ok(Moduli::of(system)?),
-            self.scene,
-            self.made,
-            &mut Progress::new(false),
-        )
+        protocol(&mut system, minimizer, |system| Ok(Moduli::of(system)?), self.scene, self.made, &Progress::new(false))
     }
 }
 
