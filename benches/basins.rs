@@ -21,7 +21,7 @@ const SCENE: &str = "model = 'dp'\nn_particles = 64\ninitial.packing_fraction = 
 /// Ways from the random start to the densest state: a minimiser, and what its steps are divided by. The first is the
 /// reference, as close to overdamped motion as can be had.
 const WAYS: [(&str, &str, f64); 3] =
-    [("fire, small steps", "fire", 4.0), ("fire", "fire", 1.0), ("newton", "newton", 1.0)];
+    [("fire in small steps", "fire", 4.0), ("fire", "fire", 1.0), ("newton", "newton", 1.0)];
 /// Minimisers that make the same steps from one state.
 const METHODS: [&str; 3] = ["fire", "cg", "newton"];
 /// Densities to which compression goes, and by which steps; small ones where packings begin to jam.
@@ -71,7 +71,10 @@ fn main() {
     if world.is_root() {
         let columns = MEASURED.map(|density| NAMES.map(|name| format!("{name}_{density}"))).concat().join(",");
         let mut text = format!("packing,way,crossed,cpu_seconds,rho_jammed,{columns}\n");
-        rows.iter().for_each(|row| line(&mut text, row));
+        for row in &rows {
+            write!(text, "{},{},", row[0], WAYS[row[1] as usize].0).expect("a string takes all");
+            line(&mut text, &row[2..]);
+        }
         std::fs::write(Path::new(out).join("ways.csv"), text).expect("the folder takes files");
         let mut text = String::from("packing,density,U_fire,U_cg,U_newton\n");
         steps.iter().for_each(|row| line(&mut text, row));
@@ -178,15 +181,15 @@ fn line(text: &mut String, row: &[f64]) {
 
 fn report(rows: &[Row], steps: &[Step]) {
     let of = |way: usize| rows.iter().filter(move |row| row[1] == way as f64);
-    println!("way                packings  not relaxed  crossed  CPU s a packing");
+    println!("way                 packings  not relaxed  crossed  CPU s a packing");
     for (way, (name, ..)) in WAYS.iter().enumerate() {
         let open = of(way).filter(|row| row[ROW - 1].is_nan()).count();
         let crossed = of(way).filter(|row| row[2] > 0.0).count();
-        println!("{name:18} {:8} {open:12} {crossed:8} {:16.2}", of(way).count(), mean(of(way).map(|row| row[3])));
+        println!("{name:19} {:8} {open:12} {crossed:8} {:16.2}", of(way).count(), mean(of(way).map(|row| row[3])));
     }
     let columns = MEASURED.iter().flat_map(|density| NAMES.map(|name| format!("{name} at {density:.2}")));
     println!(
-        "\n                       mean and spread over packings       difference from the first, and over its error"
+        "\n                        mean and spread over packings       difference from the first, and over its error"
     );
     for (k, name) in std::iter::once("rho jammed".to_string()).chain(columns).enumerate() {
         for (way, (label, ..)) in WAYS.iter().enumerate() {
@@ -195,7 +198,7 @@ fn report(rows: &[Row], steps: &[Step]) {
             let known = shift.iter().filter(|x| !x.is_nan()).count() as f64;
             let (by, error) = (mean(shift.iter().copied()), spread(shift.iter().copied()) / known.sqrt());
             let (center, width) = (mean(values.iter().copied()), spread(values.iter().copied()));
-            print!("{:12} {label:18} {center:12.6} {width:10.6}", if way == 0 { &name } else { "" });
+            print!("{:12} {label:19} {center:12.6} {width:10.6}", if way == 0 { &name } else { "" });
             println!("{}", if way == 0 { String::new() } else { format!("       {by:12.6} {:6.1}", by / error) });
         }
     }
@@ -205,7 +208,7 @@ fn report(rows: &[Row], steps: &[Step]) {
             let u = 5 + k * NAMES.len();
             let names = format!("{} and {}", WAYS[a].0, WAYS[b].0);
             let pairs = of(a).zip(of(b)).map(|(x, y)| [x[u], y[u]]);
-            println!("{names:28} the whole way to {density:.2}  {}", equal(pairs));
+            println!("{names:30} the whole way to {density:.2}  {}", equal(pairs));
         }
     }
     for [a, b] in [[0, 1], [0, 2], [1, 2]] {
@@ -213,7 +216,7 @@ fn report(rows: &[Row], steps: &[Step]) {
             let names = format!("{} and {}", METHODS[a], METHODS[b]);
             let here = steps.iter().filter(|step| (step[1] - density).abs() < 1e-9);
             println!(
-                "{names:28} one step to {density:.2}       {}",
+                "{names:30} one step to {density:.2}       {}",
                 equal(here.map(|step| [step[2 + a], step[2 + b]]))
             );
         }
