@@ -104,7 +104,7 @@ impl Task for Compress<'_> {
                 let measured = MEASURED.iter().position(|m| (density - m).abs() < 1e-9);
                 let goal = goal(if measured.is_some() { EXACT } else { COARSE });
                 if measured.is_some() && method == "newton" {
-                    let energies = self.from_one_state(&mut system, density)?;
+                    let energies = self.after_one_state(&mut system, density)?;
                     self.steps.push([vec![self.seed as f64, density], energies].concat().try_into().expect("a step"));
                 }
                 match by(method, &mut system, &goal, density) {
@@ -134,7 +134,7 @@ impl Task for Compress<'_> {
 
 impl Compress<'_> {
     /// Energies after the step to `density`, by each minimiser from one state, in which it leaves the system.
-    fn from_one_state<M: Model>(&self, system: &mut System<M>, density: f64) -> Result<Vec<f64>, Failure> {
+    fn after_one_state<M: Model>(&self, system: &mut System<M>, density: f64) -> Result<Vec<f64>, Failure> {
         by("newton", system, &goal(EXACT), density - LAST)?;
         let (pbox, start) = (*system.pbox(), system.own_particles());
         let mut energies = Vec::new();
