@@ -100,6 +100,7 @@ pub struct System<M: Model> {
     pub comm: Comm,
     pub model: M,
     pub counters: Counters,
+    /// On all ranks or on none.
     pub watch: Option<Watch>,
     grid: ProcessGrid,
     pbox: PeriodicBox,
@@ -204,7 +205,7 @@ impl<M: Model> System<M> {
 
     /// Whether some rank is asked to end. Collective.
     pub fn is_to_end(&self) -> bool {
-        self.comm.any(self.watch.as_ref().is_some_and(|watch| watch.ends.load(Ordering::Relaxed)))
+        self.watch.as_ref().is_some_and(|watch| self.comm.any(watch.ends.load(Ordering::Relaxed)))
     }
 
     /// Forces on this rank's own points, as of the last evaluation.

@@ -35,7 +35,15 @@ impl Running {
         assert!(sent.success());
     }
 
-    fn end(self) -> Outcome {
+    fn end(mut self) -> Outcome {
+        let start = Instant::now();
+        while self.child.try_wait().unwrap().is_none() {
+            if start.elapsed() > Duration::from_secs(60) {
+                self.child.kill().unwrap();
+                panic!("the run hangs");
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
         Outcome::from(self.child.wait_with_output().unwrap())
     }
 }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 /// Between two plain lines.
 const INTERVAL: Duration = Duration::from_secs(5);
-/// Without a new state for so long, a plain line says how far the minimisation is.
+/// Without a new state for so long, a line says how far the minimisation is.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Between two changes of the line on a terminal.
 const TERMINAL_INTERVAL: Duration = Duration::from_millis(100);
@@ -31,7 +31,8 @@ impl Progress {
     /// A minimised state; shown if it is time for it.
     pub fn state(&self, phase: &str, density: f64, pressure: f64, iterations: u64) {
         tracing::info!(phase, density, pressure, iterations, "minimised");
-        self.show(None, INTERVAL, || {
+        let interval = if self.terminal { TERMINAL_INTERVAL } else { INTERVAL };
+        self.show(None, interval, || {
             format!("{phase:<11} density {density:.6}  pressure {pressure:9.3e}  {iterations} iterations")
         });
     }
@@ -45,7 +46,6 @@ impl Progress {
 
     /// `before` stands for a line if there has been none.
     fn show(&self, before: Option<Instant>, interval: Duration, text: impl FnOnce() -> String) {
-        let interval = if self.terminal { TERMINAL_INTERVAL } else { interval };
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
         if !self.speaks || last.or(before).is_some_and(|last| last.elapsed() < interval) {
             return;
