@@ -49,7 +49,7 @@ fn measure<M: Model>(study: &str, model: &str, n: u32, system: &mut System<M>) {
     run(system, RELAXING);
     let rebuilds = system.counters.rebuilds;
     profile::start();
-    let mut times: Vec<f64> = (0..REPEATS)
+    let times: Vec<f64> = (0..REPEATS)
         .map(|_| {
             system.comm.barrier();
             let start = Instant::now();
@@ -57,7 +57,6 @@ fn measure<M: Model>(study: &str, model: &str, n: u32, system: &mut System<M>) {
             system.comm.max(start.elapsed().as_secs_f64() * 1e6 / STEPS as f64)
         })
         .collect();
-    times.sort_by(f64::total_cmp);
     let (seconds, counts) = (profile::seconds(), profile::counts());
     let steps = counts[Count::Steps as usize];
     let ranks = system.comm.size() as f64;
@@ -71,7 +70,7 @@ fn measure<M: Model>(study: &str, model: &str, n: u32, system: &mut System<M>) {
     let count = |which: Count| mean(counts[which as usize] / steps);
     let points = system.n_points();
     let row = [
-        times[REPEATS / 2],
+        median(&times),
         phase(Phase::Forces),
         phase(Phase::Halo),
         phase(Phase::Reductions),
@@ -131,8 +130,14 @@ fn predict() {
     }
 }
 
-/// For each number of cores particles and time.
-type Curve = BTreeMap<u64, (u64, f64)>;
+/// For each number of cores particles and the times that were measured, which is more than one with REPEATS.
+type Curve = BTreeMap<u64, (u64, Vec<f64>)>;
+
+fn median(times: &[f64]) -> f64 {
+    let mut times = times.to_vec();
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
 
 fn summary(csv: &str, plot: &str) {
     let text = std::fs::read_to_string(csv).unwrap_or_else(|e| panic!("{csv}: {e}"));
@@ -145,13 +150,14 @@ fn summary(csv: &str, plot: &str) {
         let time: f64 = time.parse().unwrap_or_else(|e| panic!("{csv}: {time}: {e}"));
         let size = if study == "weak" { n / (ranks * threads) } else { n };
         let name = format!("{model}, {size}{}, {threads} thread(s)", if study == "weak" { " a core" } else { "" });
-        curves.entry((study.into(), name)).or_default().insert(ranks * threads, (n, time));
+        let curve = curves.entry((study.into(), name)).or_default();
+        curve.entry(ranks * threads).or_insert((n, Vec::new())).1.push(time);
     }
     println!("{:<8}{:<36}{:>8}{:>12}{:>14}{:>12}", "study", "curve", "cores", "particles", "us per step", "efficiency");
     let alone = |study: &str, name: &str| -> Option<f64> {
         let size = name.rsplit_once(", ").map_or(name, |(size, _)| size);
         let one = curves.get(&(study.to_string(), format!("{size}, 1 thread(s)")))?;
-        one.get(&1).map(|&(_, time)| time)
+        one.get(&1).map(|(_, times)| median(times))
     };
     let mut axes: Vec<Axes> = Vec::new();
     for study in ["strong", "weak"] {
@@ -161,7 +167,8 @@ fn summary(csv: &str, plot: &str) {
             let efficiency =
                 |cores: u64, time: f64| if study == "weak" { one / time } else { one / (time * cores as f64) };
             let mut points = Vec::new();
-            for (&cores, &(n, time)) in curve {
+            for (&cores, (n, times)) in curve {
+                let time = median(times);
                 println!("{study:<8}{name:<36}{cores:>8}{n:>12}{time:>14.1}{:>12.3}", efficiency(cores, time));
                 points.push([cores as f64, efficiency(cores, time)]);
             }
