@@ -57,12 +57,16 @@ impl<T: Copy> Rows<T> {
         &self.items[self.start[i] as usize..self.start[i + 1] as usize]
     }
 
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = &[T]> {
+        self.start.windows(2).map(|ends| &self.items[ends[0] as usize..ends[1] as usize])
+    }
+
     /// All items of all rows.
     pub fn items(&self) -> &[T] {
         &self.items
     }
 
-    fn push_row(&mut self, items: impl Iterator<Item = T>) {
+    pub fn push_row(&mut self, items: impl Iterator<Item = T>) {
         self.items.extend(items);
         self.start.push(u32::try_from(self.items.len()).expect("fewer than 2^32 neighbours on a rank"));
     }

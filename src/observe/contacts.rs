@@ -1,5 +1,6 @@
 use crate::engine::{EngineError, System};
 use crate::model::Model;
+use crate::neighbor::Rows;
 
 /// Which particles count as rattlers: those with fewer contacts than this, found again and again after each removal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,7 +19,7 @@ impl Default for Rattlers {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Contacts {
     /// For each own particle the global ids of all particles it touches, ascending, rattlers included.
-    pub touching: Vec<Vec<u32>>,
+    pub touching: Rows<u32>,
     /// Whether each own particle is a rattler.
     pub is_rattler: Vec<bool>,
     /// N, on all ranks.
@@ -45,11 +46,13 @@ impl Contacts {
         let is_rattler = remove_rattlers(system, &neighbors, rattlers);
         let removed = on_points(system, &is_rattler);
         // every contact is seen from both sides
-        let kept_ends = |p: usize| neighbors[p].iter().filter(|n| !removed[n.point as usize]).count() as u64;
-        let ends: u64 = (0..neighbors.len()).filter(|&p| !is_rattler[p]).map(kept_ends).sum();
+        let kept_ends = |p: usize| neighbors.row(p).iter().filter(|n| !removed[n.point as usize]).count() as u64;
+        let ends: u64 = (0..is_rattler.len()).filter(|&p| !is_rattler[p]).map(kept_ends).sum();
+        let mut touching = Rows::default();
+        neighbors.iter().for_each(|row| touching.push_row(row.iter().map(|n| n.id)));
         let rattlers_here = is_rattler.iter().filter(|&&r| r).count() as u64;
         Ok(Contacts {
-            touching: neighbors.iter().map(|row| row.iter().map(|n| n.id).collect()).collect(),
+            touching,
             n_particles: system.n_particles(),
             n_rattlers: system.comm.sum_count(rattlers_here),
             n_contacts: system.comm.sum_count(ends) / 2,
@@ -71,7 +74,7 @@ impl Contacts {
     /// Collective. `contacts` must belong to the present state of `system`.
     pub fn all_pairs<M: Model>(&self, system: &System<M>) -> Vec<[u32; 2]> {
         let mut words = Vec::new();
-        for (&id, touching) in system.particles().id.iter().zip(&self.touching) {
+        for (&id, touching) in system.particles().id.iter().zip(self.touching.iter()) {
             // the owner of the smaller id names the pair
             words.extend(touching.iter().filter(|&&other| id < other).map(|&other| (id as u64) << 32 | other as u64));
         }
@@ -82,22 +85,23 @@ impl Contacts {
 }
 
 /// For each own particle those that it touches, each once, in the order of global ids.
-fn neighbors<M: Model>(system: &System<M>) -> Vec<Vec<Neighbor>> {
+fn neighbors<M: Model>(system: &System<M>) -> Rows<Neighbor> {
     let (view, particles) = (system.view(), system.particles());
     let mut particle_of = Vec::with_capacity(particles.owned_points());
     for p in 0..particles.len() {
         particle_of.resize(particles.bodies.points(p).end, p as u32);
     }
-    let of = |p: usize| {
-        let mut found = Vec::new();
+    let (mut rows, mut found) = (Rows::default(), Vec::new());
+    for p in 0..particles.len() {
+        found.clear();
         system.model.for_each_contact(&view, p, |point, _| {
             found.push(Neighbor { id: view.particle_id(point, &particle_of), point });
         });
         found.sort_unstable_by_key(|n| n.id);
         found.dedup_by_key(|n| n.id);
-        found
-    };
-    (0..particles.len()).map(of).collect()
+        rows.push_row(found.iter().copied());
+    }
+    rows
 }
 
 /// A flag of each own particle on all of its points, wherever they are known.
@@ -112,13 +116,13 @@ fn on_points<M: Model>(system: &mut System<M>, of_particle: &[bool]) -> Vec<bool
 
 /// Removes particles with too few contacts, then those that this leaves with too few, until nothing changes anywhere.
 /// The result does not depend on the order of removal, so that every rank may work on its own particles at once.
-fn remove_rattlers<M: Model>(system: &mut System<M>, neighbors: &[Vec<Neighbor>], rattlers: Rattlers) -> Vec<bool> {
-    let mut removed = vec![false; neighbors.len()];
+fn remove_rattlers<M: Model>(system: &mut System<M>, neighbors: &Rows<Neighbor>, rattlers: Rattlers) -> Vec<bool> {
+    let mut removed = vec![false; neighbors.iter().len()];
     loop {
         let gone = on_points(system, &removed);
         let mut changed = false;
-        for (p, row) in neighbors.iter().enumerate().filter(|(p, _)| !removed[*p]).collect::<Vec<_>>() {
-            if row.iter().filter(|n| !gone[n.point as usize]).count() < rattlers.fewer_than {
+        for (p, row) in neighbors.iter().enumerate() {
+            if !removed[p] && row.iter().filter(|n| !gone[n.point as usize]).count() < rattlers.fewer_than {
                 removed[p] = true;
                 changed = true;
             }

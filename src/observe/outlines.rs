@@ -139,7 +139,9 @@ impl<'a> Outlines<'a> {
     /// Of the particles that `counts` wants, by global id.
     pub fn new(candidates: &'a Candidates<'a>, thickness: Thickness, counts: impl Fn(u32) -> bool) -> Self {
         let Candidates { pbox, particles, region, .. } = candidates;
-        let (mut edges, mut first) = (Vec::new(), vec![0]);
+        let mut edges = Vec::with_capacity(particles.position.len());
+        let mut first = Vec::with_capacity(particles.len() + 1);
+        first.push(0);
         for p in 0..particles.len() {
             if counts(particles.id[p]) {
                 match thickness.shell {
@@ -156,34 +158,37 @@ impl<'a> Outlines<'a> {
         Outlines { candidates, edges, first, midpoints, cells, hair: thickness.hair }
     }
 
-    /// What `of` says about every own particle that counts, in the order of storage.
-    fn map<R: Send, Of: IntoIterator<Item = R>>(&self, of: impl Fn(usize) -> Of + Sync) -> Vec<R> {
-        // a few chunks after the other, so that what is said is not there twice
-        const FEW: usize = 64;
+    /// What `of` says about every own particle that counts, in the order of storage; `take` is given a few particles
+    /// at a time.
+    fn in_parts<R: Send, Of: IntoIterator<Item = R>>(
+        &self,
+        of: impl Fn(usize) -> Of + Sync,
+        mut take: impl FnMut(Vec<Vec<R>>),
+    ) {
         let counts = |p: &usize| self.first[*p] < self.first[p + 1];
-        let mut all = Vec::new();
-        for chunks in self.candidates.chunks.chunks(FEW) {
-            let parts =
-                threads::map(chunks, |chunk| chunk.particles.clone().filter(counts).flat_map(&of).collect::<Vec<_>>());
-            parts.into_iter().for_each(|part| all.extend(part));
+        for chunks in self.candidates.chunks.chunks(threads::FEW) {
+            take(threads::map(chunks, |chunk| chunk.particles.clone().filter(counts).flat_map(&of).collect()));
         }
-        all
     }
 
-    /// The parts of the outlines of own particles that no particle hides, particle after particle.
-    pub fn chains(&self) -> Vec<Chain> {
+    /// The parts of the outlines of own particles that no particle hides, particle after particle. They are too many
+    /// to be there all at once: `take` is given those of a few particles at a time, which are near each other and near
+    /// those before, as particles are stored.
+    pub fn chains(&self, mut take: impl FnMut(Vec<Chain>)) {
         let of = |p: usize| {
             let pieces =
                 self.own_pieces(p, |e, hiding| self.cells.for_each_near(self.midpoints[e], |c| hiding.push(c)));
             self.assembled(&pieces)
         };
-        self.map(of)
+        self.in_parts(of, |parts| take(parts.into_iter().flatten().collect()));
     }
 
     /// For each own particle the area that it covers and no particle with a lower global id does. Their sum over all
     /// particles is the area of the union, whatever the multiplicity of overlaps.
     pub fn shares(&self) -> Vec<f64> {
-        self.map(|p| [self.share(p)])
+        let mut shares = Vec::new();
+        self.in_parts(|p| [self.share(p)], |parts| parts.iter().for_each(|part| shares.extend(part)));
+        shares
     }
 
     fn share(&self, p: usize) -> f64 {

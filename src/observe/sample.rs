@@ -84,14 +84,16 @@ impl Sample {
         report: &Report,
         rattlers: Rattlers,
     ) -> Result<(Sample, PerParticle), EngineError> {
-        let contacts = Contacts::of(system, rattlers)?;
+        // what takes most memory comes first, when least is there
         let shapes: Vec<Shape> = system.outlines(Shape::of)?;
-        let terms = system.terms()?;
         let density = PackingFraction::of(system, &shapes)?;
+        let voids = Voids::of(system, &[], Some(density.packing_fraction))?.statistics;
+        let contacts = Contacts::of(system, rattlers)?;
+        let terms = system.terms()?;
         let [mean_area, area_deviation] = areas(system, &shapes, contacts.n_particles);
         let sample = Sample {
             density,
-            voids: Voids::of(system, &[], Some(density.packing_fraction))?.statistics,
+            voids,
             energies: system.energies()?,
             n_particles: contacts.n_particles,
             n_contacts: contacts.n_contacts,

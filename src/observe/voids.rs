@@ -123,13 +123,16 @@ impl Voids {
         let thickness = Thickness::of(system);
         let counts = |id: u32| removed.binary_search(&id).is_err();
         let smallest_island = 0.5 * smallest_area(system)?;
-        let mut chains = system.with_whole_neighbors(|seen| Outlines::new(seen, thickness, counts).chains())?;
-        sort_chains(&mut chains);
         let widest = thickness.widest_gap();
-        let (mut voids, chains) = settled(system.pbox(), chains, widest, smallest_island);
+        let Settling { mut voids, kept, open } = system.with_whole_neighbors(|seen| {
+            let mut settling = Settling::default();
+            let outlines = Outlines::new(seen, thickness, counts);
+            outlines.chains(|chains| settling.add(seen.pbox, chains, widest, smallest_island));
+            settling
+        })?;
         let mut words = Vec::new();
-        chains.iter().for_each(|chain| pack(chain, &mut words));
-        drop(chains);
+        kept.iter().chain(&open).for_each(|chain| pack(chain, &mut words));
+        drop((kept, open));
         let parts = system.comm.gather(words);
         let mut is_linked = true;
         if system.comm.is_root() {
@@ -203,42 +206,62 @@ fn smallest_area<M: Model>(system: &mut System<M>) -> Result<f64, EngineError> {
     Ok(-system.comm.max(-smallest))
 }
 
-/// The voids whose whole boundary is known here and in which nothing can float, and the chains of all other
-/// boundaries. `chains` ascend by particle.
-fn settled(pbox: &PeriodicBox, chains: Vec<Chain>, widest: f64, smallest_island: f64) -> (Vec<Void>, Vec<Chain>) {
-    let is_here = |id: u32| chains.binary_search_by_key(&id, |chain| chain.id).is_ok();
-    let next = partners(pbox, &chains, widest, is_here);
-    let mut previous = vec![NONE; chains.len()];
-    (0..chains.len()).filter(|&k| next[k] != NONE).for_each(|k| previous[next[k] as usize] = k as u32);
-    let mut is_used = vec![false; chains.len()];
-    let mut is_open = vec![false; chains.len()];
-    for end in (0..chains.len()).filter(|&k| next[k] == NONE) {
-        let mut at = end as u32;
-        while at != NONE {
-            (is_used[at as usize], is_open[at as usize]) = (true, true);
-            at = previous[at as usize];
+/// Outlines of particles, a few particles after the others, and the voids among them.
+#[derive(Default)]
+struct Settling {
+    /// Those whose whole boundary is known and in which nothing can float.
+    voids: Vec<Void>,
+    /// Chains of all other boundaries that are known as a whole.
+    kept: Vec<Chain>,
+    /// Chains of boundaries that go on along particles that have not come yet.
+    open: Vec<Chain>,
+}
+
+impl Settling {
+    /// `new` are all chains of their particles. What comes out does not depend on which come together, but for the
+    /// order.
+    fn add(&mut self, pbox: &PeriodicBox, new: impl IntoIterator<Item = Chain>, widest: f64, smallest_island: f64) {
+        let mut chains = std::mem::take(&mut self.open);
+        chains.extend(new);
+        sort_chains(&mut chains);
+        let is_here = |id: u32| chains.binary_search_by_key(&id, |chain| chain.id).is_ok();
+        let next = partners(pbox, &chains, widest, is_here);
+        let mut previous = vec![NONE; chains.len()];
+        (0..chains.len()).filter(|&k| next[k] != NONE).for_each(|k| previous[next[k] as usize] = k as u32);
+        let (mut is_used, mut is_kept) = (vec![false; chains.len()], vec![false; chains.len()]);
+        let mut is_open = vec![false; chains.len()];
+        for end in (0..chains.len()).filter(|&k| next[k] == NONE) {
+            let mut at = end as u32;
+            while at != NONE {
+                (is_used[at as usize], is_open[at as usize]) = (true, true);
+                at = previous[at as usize];
+            }
+        }
+        for first in 0..chains.len() {
+            if is_used[first] {
+                continue;
+            }
+            let ring = Ring::from(pbox, &chains, &next, first, &mut is_used);
+            if ring.winding == [0, 0] && ring.area <= 0.0 && -ring.area < smallest_island {
+                self.voids.push(Void {
+                    sides: different(ring.chains.iter().map(|&c| chains[c].id)),
+                    area: -ring.area,
+                    perimeter: ring.length,
+                    islands: 0,
+                    percolates: false,
+                });
+            } else {
+                ring.chains.iter().for_each(|&c| is_kept[c] = true);
+            }
+        }
+        for (k, chain) in chains.into_iter().enumerate() {
+            match (is_open[k], is_kept[k]) {
+                (true, _) => self.open.push(chain),
+                (_, true) => self.kept.push(chain),
+                _ => (),
+            }
         }
     }
-    let mut voids = Vec::new();
-    for first in 0..chains.len() {
-        if is_used[first] {
-            continue;
-        }
-        let ring = Ring::from(pbox, &chains, &next, first, &mut is_used);
-        if ring.winding == [0, 0] && ring.area <= 0.0 && -ring.area < smallest_island {
-            voids.push(Void {
-                sides: different(ring.chains.iter().map(|&c| chains[c].id)),
-                area: -ring.area,
-                perimeter: ring.length,
-                islands: 0,
-                percolates: false,
-            });
-        } else {
-            ring.chains.iter().for_each(|&c| is_open[c] = true);
-        }
-    }
-    let left = chains.into_iter().zip(is_open).filter(|(_, is_open)| *is_open);
-    (voids, left.map(|(chain, _)| chain).collect())
 }
 
 /// How many different ids there are.
@@ -622,8 +645,11 @@ fn partners(pbox: &PeriodicBox, chains: &[Chain], widest: f64, is_here: impl Fn(
 mod tests {
     use super::*;
     use crate::model::{Deformable, DeformableParameters, Harmonic, SoftDisks, VertexEdge};
+    use crate::neighbor::Candidates;
     use crate::observe::{PackingFraction, Rattlers, Shape};
     use crate::particles::Particles;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
     fn disks(pbox: PeriodicBox, all: &[(Vec2, f64)]) -> System<SoftDisks> {
         let mut particles = Particles::empty(&Bodies::Disks);
@@ -786,6 +812,37 @@ mod tests {
         assert_eq!(v.statistics.n_voids, 32);
         assert!((v.statistics.border_radius - r).abs() < 1e-4, "{}", v.statistics.border_radius);
         assert!((v.statistics.border_shape_parameter - 4.8706).abs() < 0.01);
+    }
+
+    #[test]
+    fn parts_come_to_the_same_voids() {
+        // enough disks to percolate but in places, with voids that are wide, narrow, and between few
+        let pbox = PeriodicBox::new(12.0, 11.0, 2.0);
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut random = |low: f64, high: f64| low + (high - low) * (rng.next_u64() as f64 / 2f64.powi(64));
+        let all: Vec<_> = (0..420).map(|_| ([random(0.0, 12.0), random(0.0, 11.0)], random(0.5, 1.0))).collect();
+        let mut system = disks(pbox, &all);
+        let thickness = Thickness::of(&system);
+        let mut chains = Vec::new();
+        let all_chains =
+            |seen: &Candidates| Outlines::new(seen, thickness, |_| true).chains(|part| chains.extend(part));
+        system.with_whole_neighbors(all_chains).unwrap();
+        let come = |particles: usize| {
+            let mut settling = Settling::default();
+            let by_particle: Vec<_> = chains.chunk_by(|a, b| a.id == b.id).collect();
+            for part in by_particle.chunks(particles) {
+                settling.add(system.pbox(), part.concat(), thickness.widest_gap(), 0.2);
+            }
+            assert!(settling.open.is_empty());
+            sort(&mut settling.voids);
+            sort_chains(&mut settling.kept);
+            (settling.voids, settling.kept)
+        };
+        let (voids, kept) = come(all.len());
+        assert!(voids.len() > 10 && kept.len() > 10, "{} {}", voids.len(), kept.len());
+        for particles in [1, 2, 7, 100] {
+            assert!(come(particles) == (voids.clone(), kept.clone()), "{particles} at a time");
+        }
     }
 
     #[test]

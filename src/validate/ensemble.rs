@@ -146,9 +146,9 @@ fn hexagons(system: &System<SoftDisks>, contacts: &Contacts) -> usize {
     let particles = system.particles();
     let place: BTreeMap<u32, usize> = particles.id.iter().enumerate().map(|(p, &id)| (id, p)).collect();
     let is_middle = |p: &usize| {
-        let ring: Vec<usize> = contacts.touching[*p].iter().map(|id| place[id]).collect();
+        let ring: Vec<usize> = contacts.touching.row(*p).iter().map(|id| place[id]).collect();
         let same_size = |&q: &usize| particles.size[q] == particles.size[*p];
-        let in_ring = |&q: &usize| contacts.touching[q].iter().filter(|id| ring.contains(&place[id])).count() == 2;
+        let in_ring = |&q: &usize| contacts.touching.row(q).iter().filter(|id| ring.contains(&place[id])).count() == 2;
         ring.len() == 6 && ring.iter().all(same_size) && ring.iter().all(in_ring)
     };
     (0..particles.len()).filter(is_middle).count()
