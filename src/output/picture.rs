@@ -28,6 +28,8 @@ const FONT: f64 = 26.0;
 const FILL_OPACITY: f64 = 0.72;
 /// Whiteness of the veil over what lies outside the box.
 const VEIL_OPACITY: f64 = 0.62;
+/// The strip around the box in which neighbouring images are shown is not wider than this part of the picture.
+pub(super) const MARGIN: f64 = 0.06;
 /// Particles that reach over more boxes than this are errors in the data and not drawn.
 const MAX_BOXES: f64 = 10.0;
 /// Boxes longer than this, in units of their width, are too thin to draw.
@@ -61,9 +63,6 @@ pub enum PictureError {
     /// The PNG encoder failed.
     #[error("cannot encode the picture as PNG: {0}")]
     Png(String),
-    /// Ids are not 0, 1, 2, ...
-    #[error("cannot draw these particles: {0}")]
-    Particles(String),
 }
 
 /// One particle's outline in Cartesian coordinates, in any periodic image.
@@ -144,7 +143,7 @@ impl Packing {
         let side = self.part * area(self.cell).abs().sqrt();
         let (count, sum) = (self.outlines.iter().filter_map(bounding_circle))
             .fold((0.0, 0.0), |(n, s), (_, radius)| (n + 1.0, s + 2.0 * radius));
-        if count == 0.0 { 0.02 * side } else { (0.75 * sum / count).max(0.012 * side).min(0.06 * side) }
+        if count == 0.0 { 0.02 * side } else { (0.75 * sum / count).max(0.012 * side).min(MARGIN * side) }
     }
 
     /// Particles and contacts in all visible images, the veil over the outside and the box.
@@ -165,8 +164,9 @@ impl Packing {
             let _ = writeln!(svg, "<g fill=\"{}\">{shapes}</g>", hex(colour));
         }
         svg += "</g>\n";
-        let shown = self.outlines.len() as f64 * self.part * self.part;
-        if shown <= MAX_PARTICLES_WITH_CONTACTS as f64 && !self.contacts.is_empty() {
+        let is_inside = |(center, _): &(Point, f64)| !view.image_shifts(*center, 0.0).is_empty();
+        let shown = self.outlines.iter().filter_map(bounding_circle).filter(is_inside).count();
+        if shown <= MAX_PARTICLES_WITH_CONTACTS && !self.contacts.is_empty() {
             let _ = writeln!(
                 svg,
                 "<path d=\"{}\" fill=\"none\" stroke=\"#111\" stroke-width=\"{}\" stroke-linecap=\"round\"/>",

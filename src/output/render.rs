@@ -2,9 +2,9 @@
 
 use super::error::{OutputError, agree};
 use super::folder::write_whole;
-use super::picture::{Outline, Packing, PictureError, rasterise, side_by_side};
+use super::picture::{MARGIN, Outline, Packing, PictureError, rasterise, side_by_side};
 use super::plot::{Axes, Panels, Series, panels};
-use super::rows::{to_blocks, whole};
+use super::rows::whole;
 use crate::comm::Comm;
 use crate::geometry::{PeriodicBox, add};
 use crate::particles::{Bodies, Particles};
@@ -32,31 +32,45 @@ pub struct Look<'a> {
     pub caption: &'a str,
 }
 
-/// The packing as rank 0 draws it, particles in the order of their ids; nothing on the other ranks. Collective.
-pub fn packing(
-    comm: &Comm,
-    pbox: &PeriodicBox,
-    particles: &Particles,
-    look: &Look,
-) -> Result<Option<Packing>, PictureError> {
+/// The packing as rank 0 draws it, particles in the order of their ids, of a part of the box those that may be seen in
+/// it; nothing on the other ranks. Collective.
+pub fn packing(comm: &Comm, pbox: &PeriodicBox, particles: &Particles, look: &Look) -> Option<Packing> {
     let count = comm.sum_count(particles.len() as u64);
     let by_itself = if count > MAX_PARTICLES { (PARTICLES_OF_A_PART / count as f64).sqrt() } else { 1.0 };
+    let part = look.part.unwrap_or(by_itself);
+    // rank 0 has no room for what is not drawn
+    let radius = |p: usize| match particles.bodies {
+        Bodies::Disks => 0.5 * particles.size[p],
+        Bodies::Polygons { .. } => particles.circumradius(pbox, p) + 0.5 * look.delta,
+    };
+    let largest = comm.max((0..particles.len()).map(radius).fold(0.0, f64::max));
+    let beyond = pbox.widths().map(|width| (2.0 * largest + MARGIN * part * pbox.area().sqrt()) / width);
+    let reaches_in = |at: f64, axis: usize| at < part + beyond[axis] || at > 1.0 - beyond[axis];
+    let is_near = |&p: &usize| {
+        let at = particles.center(pbox, p).fractions();
+        part >= 1.0 || (0..2).all(|axis| reaches_in(at[axis], axis))
+    };
+    let near: Vec<usize> = (0..particles.len()).filter(is_near).collect();
     let mut bodies = Vec::new();
-    (0..particles.len()).for_each(|p| particles.pack(p, false, &mut bodies));
+    near.iter().for_each(|&p| particles.pack(p, false, &mut bodies));
     let mut all = Particles::empty(&particles.bodies);
     comm.gather(bodies).iter().for_each(|message| all.unpack(message, false));
     // a missing value is drawn grey
-    let value = |p: usize| look.values.get(p).copied().unwrap_or(f64::NAN).to_bits();
-    let values = comm.gather((0..particles.len()).map(value).collect()).concat();
-    let pairs = comm.gather(look.contacts.iter().map(|&[a, b]| (a.min(b) as u64) << 32 | a.max(b) as u64).collect());
+    let value = |&p: &usize| look.values.get(p).copied().unwrap_or(f64::NAN).to_bits();
+    let values = comm.gather(near.iter().map(value).collect()).concat();
+    let mut ids: Vec<u32> = near.iter().map(|&p| particles.id[p]).collect();
+    ids.sort_unstable();
+    let of_near = look.contacts.iter().filter(|pair| pair.iter().any(|id| ids.binary_search(id).is_ok()));
+    let pairs = comm.gather(of_near.map(|&[a, b]| (a.min(b) as u64) << 32 | a.max(b) as u64).collect());
     if !comm.is_root() {
-        return Ok(None);
+        return None;
     }
-    let values: Vec<f64> = values.into_iter().map(f64::from_bits).collect();
-    let alone = to_blocks(&Comm::alone(), &all, &[&values]).map_err(PictureError::Particles)?;
-    let all = &alone.particles;
+    let mut order: Vec<u32> = (0..all.len() as u32).collect();
+    order.sort_by_key(|&p| all.id[p as usize]);
+    let all = all.reordered(&order);
+    let values = order.iter().map(|&p| f64::from_bits(values[p as usize])).collect();
     let outline = |p: usize| {
-        let points = whole(pbox, all, p);
+        let points = whole(pbox, &all, p);
         match all.bodies {
             Bodies::Disks => Outline::Disk { center: points[0], diameter: all.size[p] },
             Bodies::Polygons { .. } => Outline::RoundedPolygon { vertices: points, width: look.delta },
@@ -65,26 +79,22 @@ pub fn packing(
     let mut pairs = pairs.concat();
     pairs.sort_unstable();
     pairs.dedup();
-    let part = look.part.unwrap_or(by_itself);
     let of_part = if part < 1.0 { format!("; {part:.3} of either edge of the box") } else { String::new() };
     let segment = |pair: &u64| {
-        let [a, b] = [(pair >> 32) as usize, *pair as u32 as usize];
-        let inside = b < all.len(); // a < b
-        inside.then(|| {
-            let (from, to) = (all.center(pbox, a), all.center(pbox, b));
-            let start = pbox.position(from);
-            [start, add(start, pbox.displacement(to, from))]
-        })
+        let center = |id: u64| Some(all.center(pbox, all.id.binary_search(&(id as u32)).ok()?));
+        let (from, to) = (center(pair >> 32)?, center(*pair)?);
+        let start = pbox.position(from);
+        Some([start, add(start, pbox.displacement(to, from))])
     };
-    Ok(Some(Packing {
+    Some(Packing {
         cell: [[pbox.lx(), 0.0], [pbox.xy(), pbox.ly()]],
         part,
         outlines: (0..all.len()).map(outline).collect(),
-        values: if look.value_name.is_empty() { Vec::new() } else { alone.columns[0].clone() },
+        values: if look.value_name.is_empty() { Vec::new() } else { values },
         value_name: look.value_name.to_owned(),
         contacts: pairs.iter().filter_map(segment).collect(),
         caption: format!("{}{of_part}", look.caption),
-    }))
+    })
 }
 
 /// Draws the packing to a file, SVG or PNG by its name. Collective.
@@ -96,11 +106,7 @@ pub fn write_packing(
     look: &Look,
 ) -> Result<(), OutputError> {
     let drawn = packing(comm, pbox, particles, look);
-    let written = match drawn {
-        Ok(None) => Ok(()),
-        Ok(Some(packing)) => save(path, || packing.to_svg(), || packing.to_png(WIDTH_PX)),
-        Err(error) => Err(error.to_string()),
-    };
+    let written = drawn.map_or(Ok(()), |packing| save(path, || packing.to_svg(), || packing.to_png(WIDTH_PX)));
     agree(comm, written).map_err(|reason| OutputError::write(path, reason))
 }
 
@@ -193,11 +199,30 @@ mod tests {
     #[test]
     fn particles_are_drawn_in_the_order_of_ids_and_contacts_across_the_boundary() {
         let (pbox, disks) = two_disks();
-        let drawn = packing(&Comm::alone(), &pbox, &disks, &look(&[[1, 0], [0, 1], [0, 9]])).unwrap().unwrap();
+        let drawn = packing(&Comm::alone(), &pbox, &disks, &look(&[[1, 0], [0, 1], [0, 9]])).unwrap();
         assert_eq!(drawn.values, [1.0, 2.0]);
         assert_eq!(drawn.contacts.len(), 1);
         let [[x, _], [far, _]] = drawn.contacts[0];
         assert!((x - 0.2).abs() < 1e-12 && (far + 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn of_a_part_rank_0_takes_what_may_be_seen() {
+        let mut disks = Particles::empty(&Bodies::Disks);
+        let at = |k: u32| [0.05 * (k % 20) as f64 + 0.01, 0.05 * (k / 20) as f64 + 0.01];
+        (0..400).rev().for_each(|k| disks.push(k, 0.5, &[Frac::from_fractions(at(k))]));
+        let pbox = PeriodicBox::new(10.0, 10.0, 3.0);
+        let pairs: Vec<[u32; 2]> = (0..399).map(|k| [k, k + 1]).collect();
+        let values: Vec<f64> = (0..400).rev().map(|k| (k % 20 / 10) as f64).collect();
+        let whole = Look { part: Some(1.0), values: &values, ..look(&pairs) };
+        let part = Look { part: Some(0.3), ..whole };
+        let [whole, part] = [whole, part].map(|look| packing(&Comm::alone(), &pbox, &disks, &look).unwrap());
+        assert_eq!(whole.outlines.len(), 400);
+        assert!(part.outlines.len() < 200);
+        // nothing is missing, in any colour
+        let of_all = Packing { part: 0.3, caption: part.caption.clone(), ..whole };
+        assert!(of_all.to_svg().contains("<circle"));
+        assert_eq!(part.to_svg(), of_all.to_svg());
     }
 
     #[test]

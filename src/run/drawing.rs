@@ -3,7 +3,7 @@
 use crate::engine::System;
 use crate::failure::Failure;
 use crate::model::Model;
-use crate::observe::{PerParticle, Sample};
+use crate::observe::{Contacts, PerParticle, Rattlers, Sample};
 use crate::output::render::{Look, packing, write_packing};
 use crate::scene::ColorBy;
 use std::path::Path;
@@ -30,8 +30,7 @@ pub fn svg<M: Model>(
     color_by: ColorBy,
 ) -> Result<Option<String>, Failure> {
     with_look(system, sample, columns, color_by, None, |system, look| {
-        let drawn = packing(&system.comm, system.pbox(), system.particles(), look);
-        drawn.map(|packing| packing.map(|packing| packing.to_svg())).map_err(|e| Failure::Other(e.to_string()))
+        Ok(packing(&system.comm, system.pbox(), system.particles(), look).map(|packing| packing.to_svg()))
     })
 }
 
@@ -44,10 +43,11 @@ fn with_look<M: Model, R>(
     part: Option<f64>,
     act: impl FnOnce(&System<M>, &Look) -> Result<R, Failure>,
 ) -> Result<R, Failure> {
-    let touching = system.contacts()?;
+    let touching = Contacts::of(system, Rattlers::default())?.touching;
     let ids = &system.particles().id;
     let pairs: Vec<[u32; 2]> =
-        ids.iter().zip(&touching).flat_map(|(&id, row)| row.iter().map(move |&(other, _)| [id, other])).collect();
+        ids.iter().zip(touching.iter()).flat_map(|(&id, row)| row.iter().map(move |&other| [id, other])).collect();
+    drop(touching);
     let (values, value_name): (Vec<f64>, &str) = match color_by {
         ColorBy::Z => (columns.contacts.iter().map(|&n| n as f64).collect(), "contacts z"),
         ColorBy::ShapeParameter => (columns.shape_parameter.clone(), "shape parameter"),
