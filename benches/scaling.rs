@@ -70,7 +70,7 @@ fn measure<M: Model>(study: &str, model: &str, n: u32, system: &mut System<M>) {
     let count = |which: Count| mean(counts[which as usize] / steps);
     let points = system.n_points();
     let row = [
-        median(&times),
+        median_and_least(&times)[0],
         phase(Phase::Forces),
         phase(Phase::Halo),
         phase(Phase::Reductions),
@@ -133,10 +133,11 @@ fn predict() {
 /// For each number of cores particles and the times that were measured, which is more than one with REPEATS.
 type Curve = BTreeMap<u64, (u64, Vec<f64>)>;
 
-fn median(times: &[f64]) -> f64 {
+/// What counts of several times, and what other load on the machine has lengthened least.
+fn median_and_least(times: &[f64]) -> [f64; 2] {
     let mut times = times.to_vec();
     times.sort_by(f64::total_cmp);
-    times[times.len() / 2]
+    [times[times.len() / 2], times[0]]
 }
 
 fn summary(csv: &str, plot: &str) {
@@ -153,24 +154,34 @@ fn summary(csv: &str, plot: &str) {
         let curve = curves.entry((study.into(), name)).or_default();
         curve.entry(ranks * threads).or_insert((n, Vec::new())).1.push(time);
     }
-    println!("{:<8}{:<36}{:>8}{:>12}{:>14}{:>12}", "study", "curve", "cores", "particles", "us per step", "efficiency");
-    let alone = |study: &str, name: &str| -> Option<f64> {
+    println!("{:72}medians, and least of repeated measurements", "");
+    println!(
+        "{:<8}{:<36}{:>8}{:>12}{:>14}{:>12}{:>14}{:>12}",
+        "study", "curve", "cores", "particles", "us per step", "efficiency", "us per step", "efficiency"
+    );
+    let alone = |study: &str, name: &str| -> Option<[f64; 2]> {
         let size = name.rsplit_once(", ").map_or(name, |(size, _)| size);
         let one = curves.get(&(study.to_string(), format!("{size}, 1 thread(s)")))?;
-        one.get(&1).map(|(_, times)| median(times))
+        one.get(&1).map(|(_, times)| median_and_least(times))
     };
     let mut axes: Vec<Axes> = Vec::new();
     for study in ["strong", "weak"] {
         let mut series = Vec::new();
         for ((_, name), curve) in curves.iter().filter(|((s, _), _)| s == study) {
             let Some(one) = alone(study, name) else { continue };
-            let efficiency =
-                |cores: u64, time: f64| if study == "weak" { one / time } else { one / (time * cores as f64) };
+            let efficiency = |cores: u64, times: [f64; 2]| {
+                let cores = if study == "weak" { 1.0 } else { cores as f64 };
+                [0, 1].map(|k| one[k] / (times[k] * cores))
+            };
             let mut points = Vec::new();
             for (&cores, (n, times)) in curve {
-                let time = median(times);
-                println!("{study:<8}{name:<36}{cores:>8}{n:>12}{time:>14.1}{:>12.3}", efficiency(cores, time));
-                points.push([cores as f64, efficiency(cores, time)]);
+                let times = median_and_least(times);
+                let [efficiency, of_least] = efficiency(cores, times);
+                println!(
+                    "{study:<8}{name:<36}{cores:>8}{n:>12}{:>14.1}{efficiency:>12.3}{:>14.1}{of_least:>12.3}",
+                    times[0], times[1]
+                );
+                points.push([cores as f64, efficiency]);
             }
             series.push(Series { name: name.clone(), points, error: None, line: true, style: None });
         }
