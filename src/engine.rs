@@ -708,14 +708,14 @@ impl<M: Model> System<M> {
     pub fn terms(&mut self) -> Result<Vec<Terms>, EngineError> {
         self.prepare()?;
         let view = self.view();
-        Ok(threads::each_particle(&self.chunks, |p| self.model.terms(&view, p)))
+        Ok(threads::collect(self.particles.len(), |p| self.model.terms(&view, p)))
     }
 
     /// What `of` says about the outline of each own particle.
     pub fn outlines<R: Copy + Send>(&mut self, of: impl Fn(&Outline) -> R + Sync) -> Result<Vec<R>, EngineError> {
         self.prepare()?;
         let view = self.view();
-        Ok(threads::each_particle(&self.chunks, |p| of(&self.model.outline(&view, p))))
+        Ok(threads::collect(self.particles.len(), |p| of(&self.model.outline(&view, p))))
     }
 
     /// Density that protocols set: the sum of the areas that particles cover by themselves over the area of the box

@@ -75,19 +75,6 @@ pub fn map<R: Send>(chunks: &[Chunk], work: impl Fn(&Chunk) -> R + Sync + Send) 
     chunks.par_iter().map(work).collect()
 }
 
-/// What `of` gives for every particle of all chunks, in order. A few chunks come after the others, so that little is
-/// there twice.
-pub fn each_particle<R: Send>(chunks: &[Chunk], of: impl Fn(usize) -> R + Sync + Send) -> Vec<R> {
-    let mut all = Vec::with_capacity(chunks.iter().map(|chunk| chunk.particles.len()).sum());
-    for few in chunks.chunks(FEW) {
-        map(few, |chunk| chunk.particles.clone().map(&of).collect::<Vec<_>>()).into_iter().for_each(|p| all.extend(p));
-    }
-    all
-}
-
-/// Chunks that are worth handing to all threads at once, and little beside the whole.
-pub const FEW: usize = 64;
-
 /// Enough items to be worth handing to another thread.
 const BLOCK: usize = 4096;
 

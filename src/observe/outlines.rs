@@ -165,8 +165,10 @@ impl<'a> Outlines<'a> {
         of: impl Fn(usize) -> Of + Sync,
         mut take: impl FnMut(Vec<Vec<R>>),
     ) {
+        // enough for all threads, and little beside the whole
+        const FEW: usize = 64;
         let counts = |p: &usize| self.first[*p] < self.first[p + 1];
-        for chunks in self.candidates.chunks.chunks(threads::FEW) {
+        for chunks in self.candidates.chunks.chunks(FEW) {
             take(threads::map(chunks, |chunk| chunk.particles.clone().filter(counts).flat_map(&of).collect()));
         }
     }

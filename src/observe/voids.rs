@@ -228,15 +228,15 @@ impl Settling {
         let next = partners(pbox, &chains, widest, is_here);
         let mut previous = vec![NONE; chains.len()];
         (0..chains.len()).filter(|&k| next[k] != NONE).for_each(|k| previous[next[k] as usize] = k as u32);
-        let (mut is_used, mut is_kept) = (vec![false; chains.len()], vec![false; chains.len()]);
-        let mut is_open = vec![false; chains.len()];
+        let mut is_used = vec![false; chains.len()];
         for end in (0..chains.len()).filter(|&k| next[k] == NONE) {
             let mut at = end as u32;
             while at != NONE {
-                (is_used[at as usize], is_open[at as usize]) = (true, true);
+                is_used[at as usize] = true;
                 at = previous[at as usize];
             }
         }
+        let (is_open, mut is_kept) = (is_used.clone(), vec![false; chains.len()]);
         for first in 0..chains.len() {
             if is_used[first] {
                 continue;
