@@ -176,6 +176,12 @@ pub trait Model: Copy + Send + Sync {
     where
         Self: Sized;
 
+    /// ε/δ² of contacts that can be [softened](Model::softened).
+    fn contact_stiffness(&self) -> Option<f64> {
+        let stiffest = |model: &Self| model.time_step().powi(-2);
+        Some((stiffest(self) - stiffest(&self.softened(0.0)?)) / 4.0) // their stiffest mode is four times as stiff
+    }
+
     /// Size of the forces that shape a packing: line tension γ, or ε/σ_S of disks.
     fn force_unit(&self) -> f64;
 
