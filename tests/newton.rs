@@ -85,6 +85,21 @@ fn a_small_compression_ends_in_the_minimum_that_fire_finds() {
 }
 
 #[test]
+fn a_coarse_goal_near_the_onset_is_reached_through_soft_contacts() {
+    // too coarse for a factor of the Hessian to be made: all evaluations are those of FIRE
+    let evaluations = |minimizer: &dyn Fn(&mut Packing) -> Report| -> u64 {
+        (1..=4).map(|seed| minimizer(&mut dilute(0.01, seed)).force_evaluations).sum()
+    };
+    let newton = evaluations(&|packing| {
+        let report = compress_to(packing, &Newton, &goal(1e-3), 0.85).unwrap();
+        assert!(packing.max_force().unwrap() <= 1e-3, "contacts are as hard as before");
+        report
+    });
+    let fire = evaluations(&|packing| compress_to(packing, &Fire, &goal(1e-3), 0.85).unwrap());
+    assert!(2 * newton < fire, "{newton} {fire}");
+}
+
+#[test]
 fn a_floppy_state_is_left_without_contact_energy() {
     let mut packing = dilute(1.1, 1);
     packing.deform_rigidly(packing.pbox().with_area(0.97 * packing.pbox().area()));

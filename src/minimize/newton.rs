@@ -12,13 +12,14 @@ use crate::stiffness::{Cholesky, Stiffness, sums};
 /// stiff. So contacts are first made softer by [`SOFTEST`], which leaves shapes and positions nearly as they are;
 /// FIRE then relaxes in a thousand steps or so what takes hundreds of thousands with hard contacts. From there the
 /// minimum is followed while contacts harden, [`HARDER`] times at once, each time by some Newton steps, in which the
-/// contact forces of the level before are kept at first (pre-stress). A level that is not reached is tried in smaller
-/// ones; where the minimum itself disappears on the way, FIRE finds the next one. After a small change of a relaxed
-/// state Newton steps at full stiffness are tried first: they follow the minimum of before.
+/// contact forces of the level before are kept at first (pre-stress). Where they lead nowhere, near the onset above all,
+/// FIRE does it: it is quick where little is left to move. After a small change of a relaxed state Newton steps at full
+/// stiffness are tried first: they follow the minimum of before. Goals that FIRE reaches soon need no factor at all, so
+/// that systems too large for one can be relaxed to them.
 ///
 /// Outlines that press on each other sink into each other when their contacts are much softer than their shapes, and end
-/// in another minimum, from where the way back is long. So contacts are first made only as soft as shapes are; softer
-/// ones are for outlines that hardly touch.
+/// in another minimum, from where the way back is long. So contacts that are not much stiffer than shapes are made only
+/// so soft that they overlap by a small part of their width.
 ///
 /// With the contacts at its start alone a step ends at the next outline, and near the onset hundreds of them lead nowhere.
 /// Once that has been met with, steps minimise a quadratic form of the energy in which contacts push one way only: those
@@ -30,15 +31,14 @@ pub struct Newton;
 
 /// The softest contacts, as a part of their stiffness: the stiffest modes are then those of the areas.
 const SOFTEST: f64 = 1e-3;
-/// With mild contacts their stiffest modes are this part of those of shapes. They are made milder than [`SOFTEST`] where
-/// that is ten times softer, and given up where so many iterations do not end in outlines that press on each other.
+/// With mild contacts their stiffest modes are this part of those of shapes. Where [`SOFTEST`] is more than ten times
+/// softer, so many iterations at most tell how strongly outlines press on each other.
 const MILD: f64 = 0.5;
 const MILDLY: u64 = 10_000;
-/// Contacts harden by this factor at once where nothing speaks against it, and by no less than the other.
+/// Contacts harden by this factor at once.
 const HARDER: f64 = 10.0;
-const HARDER_LEAST: f64 = 1.7;
-/// max|F| of intermediate levels, and that to which FIRE or conjugate gradients go before Newton's method is tried, in
-/// the unit of [`Model::force_unit`].
+/// max|F| of intermediate levels, and that to which FIRE or conjugate gradients go before Newton's method is tried and
+/// where it has failed on the way, in the unit of [`Model::force_unit`].
 const ON_THE_WAY: f64 = 1e-6;
 const ROUGH: f64 = 1e-4;
 /// Contacts harden when forces are balanced to this part of the pressure: below the onset, where nothing touches at the
@@ -112,51 +112,63 @@ impl Search<'_> {
     /// Relaxes with soft contacts, then hardens them; leaves the last model tried in the system.
     fn through_softer<M: Model>(&mut self, system: &mut System<M>, full: &M) -> Result<bool, EngineError> {
         let at = |level: f64| full.softened(level).expect("what was softened once can be again");
+        let is_fine = self.goal.force_tolerance <= ROUGH * self.unit;
         let small = SMALL * full.step_cap() / (4.0 * full.time_step().powi(2));
         self.stiffest = at(SOFTEST).time_step().powi(-2);
-        if self.forces(system)? <= small {
+        if is_fine && self.forces(system)? <= small {
             // contact forces as they are after a change of the box say nothing of those at balance: no pre-stress
-            let (pbox, before) = (*system.pbox(), system.own_particles());
-            if self.newton(system, self.goal.force_tolerance, 0.0)? {
+            if self.attempt(system, self.goal.force_tolerance, 0.0)? {
                 return Ok(true);
             }
-            system.restore(pbox, before);
         }
-        let mut level = mild_level(&at(0.0), full);
+        let mut level = self.soft_level(system, full, at)?;
         system.model = at(level);
-        if level <= 10.0 * SOFTEST || !self.presses(system)? {
-            level = SOFTEST;
-            system.model = at(level);
-        }
-        if !self.settle(system, ON_THE_WAY * self.unit)? {
+        let on_the_way = self.goal.force_tolerance.max(ON_THE_WAY * self.unit);
+        if !self.settle(system, on_the_way)? {
             return Ok(false);
         }
-        self.balance_softly(system, level)?;
-        let mut harder = HARDER;
+        if is_fine {
+            self.balance_softly(system, level)?;
+        }
         while level < 1.0 {
-            let next = (harder * level).min(1.0);
-            let tolerance = if next == 1.0 { self.goal.force_tolerance } else { ON_THE_WAY * self.unit };
-            let (pbox, before) = (*system.pbox(), system.own_particles());
+            let next = (HARDER * level).min(1.0);
+            let tolerance = if next == 1.0 { self.goal.force_tolerance } else { on_the_way };
             system.model = at(next);
-            if self.newton(system, tolerance, level / next)? {
-                harder = (harder * harder).min(HARDER);
-            } else if harder > HARDER_LEAST {
-                system.restore(pbox, before);
-                harder = harder.sqrt();
-                continue;
-            } else if !self.settle(system, tolerance)? {
-                return Ok(false);
+            if !is_fine || !self.attempt(system, tolerance, level / next)? {
+                let enough = if next == 1.0 { tolerance } else { tolerance.max(ROUGH * self.unit) };
+                if !self.settle(system, enough)? {
+                    return Ok(false);
+                }
             }
+            tracing::debug!(level = next, "contacts are harder");
             level = next;
         }
         Ok(true)
     }
 
-    /// Relaxes roughly; whether that has led to outlines that press on each other.
-    fn presses<M: Model>(&mut self, system: &mut System<M>) -> Result<bool, EngineError> {
+    /// How soft contacts are made first, as a part of their stiffness; leaves the system roughly relaxed with the mildest.
+    fn soft_level<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        full: &M,
+        at: impl Fn(f64) -> M,
+    ) -> Result<f64, EngineError> {
+        let stiffness = full.contact_stiffness().unwrap_or_default();
+        let shapes = at(0.0).time_step().powi(-2);
+        let mild = MILD * (shapes / (4.0 * stiffness)).min(1.0);
+        if mild <= 10.0 * SOFTEST {
+            return Ok(SOFTEST);
+        }
+        system.model = at(mild);
+        // what contacts push with that overlap by a step
+        let deep = full.step_cap() * stiffness;
         let left = self.goal.max_iterations.saturating_sub(self.report.iterations);
-        let goal = Goal { force_tolerance: ROUGH * self.unit, max_iterations: left.min(MILDLY) };
-        Ok(self.relax(system, &Fire, &goal)? && self.report.max_force <= PRESSED * self.push(system)?)
+        let goal =
+            Goal { force_tolerance: self.goal.force_tolerance.max(SOFTEST * deep), max_iterations: left.min(MILDLY) };
+        self.relax(system, &Fire, &goal)?;
+        let level = (self.push(system)? / deep).max(SOFTEST).min(mild); // also where both are 0
+        tracing::debug!(level, mild, "soft contacts overlap little");
+        Ok(level)
     }
 
     /// Relaxes contacts that are softened to `level` until forces are balanced to a small part of what they push with, or
@@ -171,11 +183,9 @@ impl Search<'_> {
                 break;
             }
             tolerance = (0.01 * tolerance).max(least);
-            let (pbox, before) = (*system.pbox(), system.own_particles());
-            if self.newton(system, tolerance, 1.0)? {
+            if self.attempt(system, tolerance, 1.0)? {
                 continue;
             }
-            system.restore(pbox, before);
             let left = self.goal.max_iterations.saturating_sub(self.report.iterations);
             if !self.rest(system, &Goal { force_tolerance: tolerance, max_iterations: left.min(BALANCING) })? {
                 break;
@@ -242,6 +252,21 @@ impl Search<'_> {
             }
             rough *= 0.1;
         }
+    }
+
+    /// Newton steps, taken back when they do not go well.
+    fn attempt<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        tolerance: f64,
+        prestress: f64,
+    ) -> Result<bool, EngineError> {
+        let (pbox, before) = (*system.pbox(), system.own_particles());
+        let is_reached = self.newton(system, tolerance, prestress)?;
+        if !is_reached {
+            system.restore(pbox, before);
+        }
+        Ok(is_reached)
     }
 
     /// Newton steps until no force is above `tolerance`; false when that does not go well. The first step takes
@@ -402,12 +427,6 @@ impl Search<'_> {
 /// Nothing of a minimisation is kept that ends before its time.
 fn heed<M: Model>(system: &System<M>) -> Result<(), EngineError> {
     if system.is_to_end() { Err(EngineError::Interrupted) } else { Ok(()) }
-}
-
-/// What mild contacts are as a part of their stiffness, from the stiffest modes of shapes alone and with contacts.
-fn mild_level<M: Model>(shapes: &M, full: &M) -> f64 {
-    let stiffest = |model: &M| model.time_step().powi(-2);
-    MILD * (stiffest(shapes) / (stiffest(full) - stiffest(shapes))).min(1.0)
 }
 
 /// −dU/dt of own points that move by `directions` t.
