@@ -115,8 +115,9 @@ impl Look for Check {
         }
         for (name, column) in columns.named() {
             if let Some((_, stored)) = self.stored.columns.iter().find(|(n, _)| n == name) {
-                let worst =
-                    largest_difference(&system.comm, (&self.stored.ids, stored), (&system.particles().id, &column));
+                let ids = &system.particles().id;
+                let measured: Vec<f64> = (0..ids.len()).map(column).collect();
+                let worst = largest_difference(&system.comm, (&self.stored.ids, stored), (ids, &measured));
                 found.push(Invariant::new(&format!("stored {name} of particles"), worst, 1.0, "in units of the limit"));
             }
         }

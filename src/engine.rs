@@ -129,6 +129,8 @@ pub struct System<M: Model> {
     last_move: f64,
     /// The lists were never built, or do not describe these particles.
     stale: bool,
+    /// Lists and halo were let go of.
+    bare: bool,
     /// Foreign positions may be old.
     halo_is_old: bool,
 }
@@ -183,6 +185,7 @@ impl<M: Model> System<M> {
             narrowed_for: 0.0,
             last_move: 0.0,
             stale: true,
+            bare: true,
             halo_is_old: true,
             particles,
         })
@@ -413,7 +416,7 @@ impl<M: Model> System<M> {
 
     /// Lists and foreign positions for the present positions and box. Collective.
     pub fn prepare(&mut self) -> Result<(), EngineError> {
-        if self.stale {
+        if self.stale || self.bare {
             self.rebuild()?;
         } else if !self.lists_hold() {
             self.choose_skin();
@@ -490,18 +493,30 @@ impl<M: Model> System<M> {
         self.travel_bound <= 0.9 * allowed
     }
 
-    /// Hands particles to the owners of their centres, then collects the foreign points that the new lists name.
-    fn rebuild(&mut self) -> Result<(), EngineError> {
-        self.counters.rebuilds += 1;
+    /// Hands particles to the owners of their centres and lets go of forces, lists and foreign points, which are as much
+    /// memory again as the particles and more: to be had again from [`System::prepare`]. As long as nothing moves, particles
+    /// are stored in the same order from then on. Collective.
+    pub fn lay_bare(&mut self) {
+        if self.bare && !self.stale && self.travel_bound == 0.0 {
+            return;
+        }
         let _lists = profile::enter(Phase::Lists);
-        // all that is made anew: its memory is wanted on the way
-        self.list = M::List::default();
+        (self.list, self.halo) = (M::List::default(), Halo::default());
         (self.forces, self.lightened, self.built_position) = (Vec::new(), Vec::new(), Vec::new());
         self.particles.forget_foreign();
         self.migrate();
         if self.stale || self.counters.rebuilds.is_multiple_of(REBUILDS_PER_SORT) {
             self.sort_in_space();
         }
+        self.chunks = self.particles.bodies.chunks(self.particles.len());
+        (self.stale, self.bare, self.travel_bound) = (false, true, 0.0);
+    }
+
+    /// Collects the foreign points that the new lists name.
+    fn rebuild(&mut self) -> Result<(), EngineError> {
+        let _lists = profile::enter(Phase::Lists);
+        self.counters.rebuilds += 1;
+        self.lay_bare();
         let owned = self.particles.len();
         let owned_points = self.particles.owned_points();
         let radius = self.comm.max(self.largest_circumradius());
@@ -510,12 +525,8 @@ impl<M: Model> System<M> {
         // the box may have become smaller than foreseen
         self.grid.check(&self.pbox, halo)?;
         let margin = widths.map(|w| halo / w);
-        self.chunks = self.particles.bodies.chunks(owned);
-
-        let carried = std::mem::take(&mut self.particles.carried);
         let Offers { peers, offered, foreign_of_peer } =
             collect_foreign(&self.comm, &self.grid, margin, &self.pbox, &mut self.particles);
-        self.particles.carried = carried;
 
         let candidates = Candidates {
             pbox: &self.pbox,
@@ -536,7 +547,7 @@ impl<M: Model> System<M> {
         self.built_position = threads::collect(owned_points, |i| self.particles.position[i]);
         self.travel_bound = 0.0;
         self.since_narrowed = f64::INFINITY;
-        self.stale = false;
+        self.bare = false;
         Ok(())
     }
 
@@ -662,37 +673,36 @@ impl<M: Model> System<M> {
     }
 
     /// Shows `look` this rank's own particles and all whole foreign ones that may overlap them, which the halo of the
-    /// lists (single points) does not hold. Collective; the system stays as it is.
+    /// lists (single points) does not hold. Lists are let go of ([`System::lay_bare`]). Collective.
     pub fn with_whole_neighbors<R>(&mut self, look: impl FnOnce(&Candidates) -> R) -> Result<R, EngineError> {
-        self.prepare()?;
-        let mut particles = self.own_particles();
-        particles.carried.clear();
-        let owned = particles.len();
-        let radius = self.largest_circumradius();
-        // centres have left their subdomain by less than the skin since the last build
-        let halo = 2.0 * self.comm.max(radius) + self.model.range(self.largest_size) + self.skin;
+        self.lay_bare();
+        let owned = self.particles.len();
+        let halo = 2.0 * self.comm.max(self.largest_circumradius()) + self.model.range(self.largest_size);
         self.grid.check(&self.pbox, halo)?;
         let margin = self.pbox.widths().map(|w| halo / w);
-        collect_foreign(&self.comm, &self.grid, margin, &self.pbox, &mut particles);
-        Ok(look(&Candidates {
+        collect_foreign(&self.comm, &self.grid, margin, &self.pbox, &mut self.particles);
+        let seen = look(&Candidates {
             pbox: &self.pbox,
-            particles: &particles,
+            particles: &self.particles,
             owned,
             region: self.grid.region(self.comm.rank(), margin),
             chunks: &self.chunks,
-        }))
+        });
+        self.particles.keep(owned);
+        Ok(seen)
     }
 
     /// Energies and stresses of the present state. Collective.
     pub fn energies(&mut self) -> Result<Energies, EngineError> {
-        let terms = self.terms()?;
-        let row = |t: &Terms| {
+        self.prepare()?;
+        let view = self.view();
+        let row = |p: usize| {
+            let t = self.model.terms(&view, p);
             let [a, b, c, d] = t.virial;
             let [e, f, g, h] = t.centroid;
             [t.line, t.area, t.contact, a, b, c, d, e, f, g, h]
         };
-        let [line, area, contact, v0, v1, v2, v3, c0, c1, c2, c3] =
-            self.comm.sum_terms(terms.len(), |p| row(&terms[p]));
+        let [line, area, contact, v0, v1, v2, v3, c0, c1, c2, c3] = self.comm.sum_terms(self.particles.len(), row);
         let per_area = |s: [f64; 4]| s.map(|x| x / self.pbox.area());
         Ok(Energies {
             total: line + area + contact,
@@ -704,11 +714,11 @@ impl<M: Model> System<M> {
         })
     }
 
-    /// Energy and stress of each own particle.
-    pub fn terms(&mut self) -> Result<Vec<Terms>, EngineError> {
+    /// What `of` says about the energy and stress of each own particle.
+    pub fn terms<R: Copy + Send>(&mut self, of: impl Fn(usize, &Terms) -> R + Sync) -> Result<Vec<R>, EngineError> {
         self.prepare()?;
         let view = self.view();
-        Ok(threads::collect(self.particles.len(), |p| self.model.terms(&view, p)))
+        Ok(threads::collect(self.particles.len(), |p| of(p, &self.model.terms(&view, p))))
     }
 
     /// What `of` says about the outline of each own particle.
@@ -803,8 +813,8 @@ struct Offers {
     foreign_of_peer: Vec<Range<usize>>,
 }
 
-/// Appends to `particles`, which are this rank's own without carried vectors, the whole foreign particles whose
-/// centres lie within `margin` (fractions of the box) of its subdomain. Collective.
+/// Appends to `particles`, which are this rank's own, the whole foreign particles whose centres lie within `margin`
+/// (fractions of the box) of its subdomain, without vectors that they carry. Collective.
 fn collect_foreign(
     comm: &Comm,
     grid: &ProcessGrid,
@@ -823,11 +833,13 @@ fn collect_foreign(
     };
     let outgoing: Vec<Vec<u64>> = offered.iter().map(packed).collect();
     let received = comm.exchange(&peers, &outgoing);
+    let carried = std::mem::take(&mut particles.carried);
     let append = |message: &Vec<u64>| {
         let start = particles.position.len();
         particles.unpack(message, false);
         start..particles.position.len()
     };
     let foreign_of_peer = received.iter().map(append).collect();
+    particles.carried = carried;
     Offers { peers, offered, foreign_of_peer }
 }

@@ -137,6 +137,17 @@ impl Particles {
         }
     }
 
+    /// Only the first `n`, where all are whole; vectors that they carry stay as they are.
+    pub fn keep(&mut self, n: usize) {
+        let points = if n > 0 { self.bodies.points(n - 1).end } else { 0 };
+        self.position.truncate(points);
+        self.id.truncate(n);
+        self.size.truncate(n);
+        if let Bodies::Polygons { first } = &mut self.bodies {
+            first.truncate(n + 1);
+        }
+    }
+
     pub fn forget_foreign(&mut self) {
         self.position.truncate(self.owned_points());
         self.size.truncate(self.len());

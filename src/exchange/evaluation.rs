@@ -201,6 +201,7 @@ impl Evaluation {
         let moduli = (wanted(Extra::Moduli) || wanted(Extra::QuasiStatic)).then(|| Moduli::of(system)).transpose()?;
         let spectrum = wanted(Extra::Spectrum).then(|| Spectrum::of(system)).transpose()?;
         let e = sample.energies;
+        system.max_force()?; // forces were let go of on the way
         let rows = by_id(system, |p| {
             let forces = &system.forces()[system.particles().bodies.points(p)];
             let mut row = vec![columns.is_rattler[p] as u8 as f64, columns.area[p], columns.perimeter[p]];

@@ -30,26 +30,16 @@ pub struct Contacts {
     pub n_contacts: u64,
 }
 
-/// The particle at the other end of a contact.
-#[derive(Clone, Copy)]
-struct Neighbor {
-    id: u32,
-    /// One of its points, own or foreign.
-    point: u32,
-}
-
 impl Contacts {
     /// The contacts of the present state, and its rattlers. Collective.
     pub fn of<M: Model>(system: &mut System<M>, rattlers: Rattlers) -> Result<Contacts, EngineError> {
         system.prepare()?;
-        let neighbors = neighbors(system);
-        let is_rattler = remove_rattlers(system, &neighbors, rattlers);
+        let [touching, touched] = neighbors(system);
+        let is_rattler = remove_rattlers(system, &touched, rattlers);
         let removed = on_points(system, &is_rattler);
         // every contact is seen from both sides
-        let kept_ends = |p: usize| neighbors.row(p).iter().filter(|n| !removed[n.point as usize]).count() as u64;
+        let kept_ends = |p: usize| touched.row(p).iter().filter(|&&point| !removed[point as usize]).count() as u64;
         let ends: u64 = (0..is_rattler.len()).filter(|&p| !is_rattler[p]).map(kept_ends).sum();
-        let mut touching = Rows::default();
-        neighbors.iter().for_each(|row| touching.push_row(row.iter().map(|n| n.id)));
         let rattlers_here = is_rattler.iter().filter(|&&r| r).count() as u64;
         Ok(Contacts {
             touching,
@@ -84,24 +74,26 @@ impl Contacts {
     }
 }
 
-/// For each own particle those that it touches, each once, in the order of global ids.
-fn neighbors<M: Model>(system: &System<M>) -> Rows<Neighbor> {
+/// For each own particle those that it touches, each once, in the order of global ids: their ids, and one point of each,
+/// own or foreign.
+fn neighbors<M: Model>(system: &System<M>) -> [Rows<u32>; 2] {
     let (view, particles) = (system.view(), system.particles());
     let mut particle_of = Vec::with_capacity(particles.owned_points());
     for p in 0..particles.len() {
         particle_of.resize(particles.bodies.points(p).end, p as u32);
     }
-    let (mut rows, mut found) = (Rows::default(), Vec::new());
+    let (mut ids, mut points, mut found) = (Rows::default(), Rows::default(), Vec::new());
     for p in 0..particles.len() {
         found.clear();
         system.model.for_each_contact(&view, p, |point, _| {
-            found.push(Neighbor { id: view.particle_id(point, &particle_of), point });
+            found.push((view.particle_id(point, &particle_of), point));
         });
-        found.sort_unstable_by_key(|n| n.id);
-        found.dedup_by_key(|n| n.id);
-        rows.push_row(found.iter().copied());
+        found.sort_unstable();
+        found.dedup_by_key(|&mut (id, _)| id);
+        ids.push_row(found.iter().map(|&(id, _)| id));
+        points.push_row(found.iter().map(|&(_, point)| point));
     }
-    rows
+    [ids, points]
 }
 
 /// A flag of each own particle on all of its points, wherever they are known.
@@ -116,13 +108,13 @@ fn on_points<M: Model>(system: &mut System<M>, of_particle: &[bool]) -> Vec<bool
 
 /// Removes particles with too few contacts, then those that this leaves with too few, until nothing changes anywhere.
 /// The result does not depend on the order of removal, so that every rank may work on its own particles at once.
-fn remove_rattlers<M: Model>(system: &mut System<M>, neighbors: &Rows<Neighbor>, rattlers: Rattlers) -> Vec<bool> {
-    let mut removed = vec![false; neighbors.iter().len()];
+fn remove_rattlers<M: Model>(system: &mut System<M>, touched: &Rows<u32>, rattlers: Rattlers) -> Vec<bool> {
+    let mut removed = vec![false; touched.iter().len()];
     loop {
         let gone = on_points(system, &removed);
         let mut changed = false;
-        for (p, row) in neighbors.iter().enumerate() {
-            if !removed[p] && row.iter().filter(|n| !gone[n.point as usize]).count() < rattlers.fewer_than {
+        for (p, row) in touched.iter().enumerate() {
+            if !removed[p] && row.iter().filter(|&&point| !gone[point as usize]).count() < rattlers.fewer_than {
                 removed[p] = true;
                 changed = true;
             }

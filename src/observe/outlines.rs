@@ -14,8 +14,10 @@ use crate::geometry::{Capsule, Exposure, Frac, Hidden, PeriodicBox, Piece, Vec2,
 use crate::model::Model;
 use crate::neighbor::{Candidates, CellList};
 use crate::particles::Bodies;
-use crate::threads;
+use crate::threads::{self, Chunk};
+use std::borrow::Cow;
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 /// How thick the particles of a system are.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +50,7 @@ impl Thickness {
 const HAIR: f64 = 1e-14;
 
 /// A circulo-line with the arc about its first vertex, or a disk.
+#[derive(Clone, Copy)]
 struct Edge {
     id: u32,
     anchor: Frac,
@@ -124,13 +127,18 @@ impl Chain {
     }
 }
 
-/// The edges of all particles that this rank sees, binned.
+/// The edges of all particles that this rank sees, binned. Disks are edges as they are, particle p edge p: what is many of
+/// must not be stored twice.
 pub struct Outlines<'a> {
     candidates: &'a Candidates<'a>,
+    /// Whether each local particle counts.
+    counts: Vec<bool>,
+    /// Those of all polygons that count; none for disks.
     edges: Vec<Edge>,
-    /// Edges of local particle p: `first[p]..first[p + 1]`, none if it does not count.
+    /// Edges of local polygon p: `first[p]..first[p + 1]`, none if it does not count; empty for disks.
     first: Vec<usize>,
-    midpoints: Vec<Frac>,
+    /// Of each edge; the centres of disks.
+    midpoints: Cow<'a, [Frac]>,
     cells: CellList,
     hair: f64,
 }
@@ -139,23 +147,55 @@ impl<'a> Outlines<'a> {
     /// Of the particles that `counts` wants, by global id.
     pub fn new(candidates: &'a Candidates<'a>, thickness: Thickness, counts: impl Fn(u32) -> bool) -> Self {
         let Candidates { pbox, particles, region, .. } = candidates;
-        let mut edges = Vec::with_capacity(particles.position.len());
-        let mut first = Vec::with_capacity(particles.len() + 1);
-        first.push(0);
-        for p in 0..particles.len() {
-            if counts(particles.id[p]) {
-                match thickness.shell {
-                    None => edges.push(Edge::disk(particles.id[p], particles.points_of(p)[0], 0.5 * particles.size[p])),
-                    Some(radius) => push_edges(pbox, particles.id[p], particles.points_of(p), radius, &mut edges),
-                }
+        let counts: Vec<bool> = particles.id.iter().map(|&id| counts(id)).collect();
+        let (mut edges, mut first) = (Vec::new(), Vec::new());
+        let (midpoints, reach) = match thickness.shell {
+            None => {
+                let largest = particles.size.iter().copied().fold(0.0, f64::max);
+                (Cow::Borrowed(&particles.position[..]), largest)
             }
-            first.push(edges.len());
-        }
-        let midpoint = |e: &Edge| pbox.moved(e.anchor, scale(0.5 * e.length, e.along));
-        let midpoints: Vec<Frac> = edges.iter().map(midpoint).collect();
-        let reach = edges.iter().map(|e| e.length + 2.0 * e.radius).fold(0.0, f64::max);
+            Some(radius) => {
+                edges.reserve(particles.position.len());
+                first.push(0);
+                for p in 0..particles.len() {
+                    if counts[p] {
+                        push_edges(pbox, particles.id[p], particles.points_of(p), radius, &mut edges);
+                    }
+                    first.push(edges.len());
+                }
+                let midpoint = |e: &Edge| pbox.moved(e.anchor, scale(0.5 * e.length, e.along));
+                let reach = edges.iter().map(|e| e.length + 2.0 * e.radius).fold(0.0, f64::max);
+                (edges.iter().map(midpoint).collect(), reach)
+            }
+        };
         let cells = CellList::new(pbox, region, &midpoints, reach.max(f64::MIN_POSITIVE));
-        Outlines { candidates, edges, first, midpoints, cells, hair: thickness.hair }
+        Outlines { candidates, counts, edges, first, midpoints, cells, hair: thickness.hair }
+    }
+
+    fn is_disks(&self) -> bool {
+        self.first.is_empty()
+    }
+
+    fn edge(&self, e: usize) -> Edge {
+        if self.is_disks() {
+            let particles = self.candidates.particles;
+            return Edge::disk(particles.id[e], particles.position[e], 0.5 * particles.size[e]);
+        }
+        self.edges[e]
+    }
+
+    /// Edges of a local particle that counts.
+    fn edges_of(&self, p: usize) -> Range<usize> {
+        if self.is_disks() { p..p + 1 } else { self.first[p]..self.first[p + 1] }
+    }
+
+    /// Visits all edges whose midpoints are near that of an edge, and others, of particles that count.
+    fn for_each_near(&self, e: usize, mut visit: impl FnMut(u32)) {
+        self.cells.for_each_near(self.midpoints[e], |c| {
+            if !self.is_disks() || self.counts[c as usize] {
+                visit(c);
+            }
+        });
     }
 
     /// What `of` says about every own particle that counts, in the order of storage; `take` is given a few particles
@@ -166,10 +206,10 @@ impl<'a> Outlines<'a> {
         mut take: impl FnMut(Vec<Vec<R>>),
     ) {
         // enough for all threads, and little beside the whole
-        const FEW: usize = 64;
-        let counts = |p: &usize| self.first[*p] < self.first[p + 1];
+        const FEW: usize = 16;
+        let counting = |chunk: &Chunk| chunk.particles.clone().filter(|&p| self.counts[p]);
         for chunks in self.candidates.chunks.chunks(FEW) {
-            take(threads::map(chunks, |chunk| chunk.particles.clone().filter(counts).flat_map(&of).collect()));
+            take(threads::map(chunks, |chunk| counting(chunk).flat_map(&of).collect()));
         }
     }
 
@@ -178,8 +218,7 @@ impl<'a> Outlines<'a> {
     /// those before, as particles are stored.
     pub fn chains(&self, mut take: impl FnMut(Vec<Chain>)) {
         let of = |p: usize| {
-            let pieces =
-                self.own_pieces(p, |e, hiding| self.cells.for_each_near(self.midpoints[e], |c| hiding.push(c)));
+            let pieces = self.own_pieces(p, |e, hiding| self.for_each_near(e, |c| hiding.push(c)));
             self.assembled(&pieces)
         };
         self.in_parts(of, |parts| take(parts.into_iter().flatten().collect()));
@@ -194,20 +233,20 @@ impl<'a> Outlines<'a> {
     }
 
     fn share(&self, p: usize) -> f64 {
-        let own = self.first[p]..self.first[p + 1];
-        let id = self.edges[own.start].id;
+        let own = self.edges_of(p);
+        let id = self.candidates.particles.id[p];
         let mut lower = Vec::new();
         for e in own.clone() {
-            self.cells.for_each_near(self.midpoints[e], |c| {
-                if self.edges[c as usize].id < id && self.may_touch(e, c as usize) {
+            self.for_each_near(e, |c| {
+                if self.edge(c as usize).id < id && self.may_touch(e, c as usize) {
                     lower.push(c);
                 }
             });
         }
-        lower.sort_unstable_by_key(|&c| (self.edges[c as usize].id, c));
+        lower.sort_unstable_by_key(|&c| (self.edge(c as usize).id, c));
         lower.dedup();
         let pbox = self.candidates.pbox;
-        let origin = self.edges[own.start].anchor;
+        let origin = self.edge(own.start).anchor;
         let mut area = 0.0;
         let (mut ends, mut starts) = (Vec::new(), Vec::new());
         let pieces = self.own_pieces(p, |_, hiding| {
@@ -225,7 +264,7 @@ impl<'a> Outlines<'a> {
         // what the lower ones leave is bounded by their outlines too, where those run inside this particle
         let mut parts = Vec::new();
         for &e in &lower {
-            let edge = &self.edges[e as usize];
+            let edge = self.edge(e as usize);
             let anchor = pbox.displacement(edge.anchor, origin);
             for piece in edge.pieces() {
                 parts.clear();
@@ -256,10 +295,10 @@ impl<'a> Outlines<'a> {
     fn own_pieces(&self, p: usize, may_hide: impl Fn(usize, &mut Vec<u32>)) -> Vec<(usize, Piece, Exposure)> {
         let (mut hiding, mut hidden) = (Vec::new(), Vec::new());
         let mut pieces = Vec::new();
-        for e in self.first[p]..self.first[p + 1] {
+        for e in self.edges_of(p) {
             hiding.clear();
             may_hide(e, &mut hiding);
-            for piece in self.edges[e].pieces() {
+            for piece in self.edge(e).pieces() {
                 hidden.clear();
                 hiding.iter().for_each(|&c| self.hide(e, &piece, c as usize, &mut hidden));
                 pieces.push((e, piece, Exposure::of(&mut hidden, piece.extent())));
@@ -269,7 +308,7 @@ impl<'a> Outlines<'a> {
     }
 
     fn may_touch(&self, e: usize, c: usize) -> bool {
-        let (edge, other) = (&self.edges[e], &self.edges[c]);
+        let (edge, other) = (self.edge(e), self.edge(c));
         let apart = self.candidates.pbox.displacement(other.anchor, edge.anchor);
         let reach = edge.length + other.length + edge.radius + other.radius;
         dot(apart, apart) < reach * reach
@@ -280,7 +319,7 @@ impl<'a> Outlines<'a> {
         if e == c || !self.may_touch(e, c) {
             return;
         }
-        let (edge, other) = (&self.edges[e], &self.edges[c]);
+        let (edge, other) = (self.edge(e), self.edge(c));
         let start = self.candidates.pbox.displacement(other.anchor, edge.anchor);
         let is_disk = edge.length == 0.0 && other.length == 0.0;
         if is_disk && norm(start) + (edge.radius - other.radius).abs() <= self.hair {
@@ -312,7 +351,7 @@ impl<'a> Outlines<'a> {
             chains.extend(chain.map(|chain| Chain { before, ..chain }));
         };
         for (e, piece, exposure) in pieces {
-            let edge = &self.edges[*e];
+            let edge = self.edge(*e);
             if let Some(by) = exposure.start_hidden_by {
                 end(current.take(), by, &mut chains);
             }

@@ -47,6 +47,9 @@ pub struct OnsetBracket {
     pub unjammed: f64,
 }
 
+/// A number of every own particle, by its place.
+pub type Column<'a> = Box<dyn Fn(usize) -> f64 + 'a>;
+
 /// Columns with one entry per own particle, in the order of storage.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PerParticle {
@@ -64,15 +67,15 @@ pub struct PerParticle {
 }
 
 impl PerParticle {
-    /// All columns by the names that files give them.
-    pub fn named(&self) -> [(&'static str, Vec<f64>); 6] {
+    /// All columns by the names that files give them: the values of a particle by its place.
+    pub fn named(&self) -> [(&'static str, Column<'_>); 6] {
         [
-            ("contacts", self.contacts.iter().map(|&n| n as f64).collect()),
-            ("is_rattler", self.is_rattler.iter().map(|&is| is as u8 as f64).collect()),
-            ("area", self.area.clone()),
-            ("perimeter", self.perimeter.clone()),
-            ("shape_parameter", self.shape_parameter.clone()),
-            ("pressure", self.pressure.clone()),
+            ("contacts", Box::new(|p| self.contacts[p] as f64)),
+            ("is_rattler", Box::new(|p| self.is_rattler[p] as u8 as f64)),
+            ("area", Box::new(|p| self.area[p])),
+            ("perimeter", Box::new(|p| self.perimeter[p])),
+            ("shape_parameter", Box::new(|p| self.shape_parameter[p])),
+            ("pressure", Box::new(|p| self.pressure[p])),
         ]
     }
 }
@@ -84,13 +87,29 @@ impl Sample {
         report: &Report,
         rattlers: Rattlers,
     ) -> Result<(Sample, PerParticle), EngineError> {
-        // what takes most memory comes first, when least is there
+        system.carry(0); // what a minimiser has left
+        // one after the other, and of each only what is kept: of a million particles memory holds little at once
+        let voids = Voids::of(system, &[], None)?.statistics;
+        let mut contacts = Contacts::of(system, rattlers)?;
+        let touched = std::mem::take(&mut contacts.touching).iter().map(|row| row.len() as u32).collect();
         let shapes: Vec<Shape> = system.outlines(Shape::of)?;
         let density = PackingFraction::of(system, &shapes)?;
-        let voids = Voids::of(system, &[], Some(density.packing_fraction))?.statistics;
-        let contacts = Contacts::of(system, rattlers)?;
-        let terms = system.terms()?;
+        voids.fill(system.pbox(), density.packing_fraction)?;
         let [mean_area, area_deviation] = areas(system, &shapes, contacts.n_particles);
+        let shape_parameter = mean_shape_parameter(system, &shapes);
+        let mut columns = PerParticle {
+            contacts: touched,
+            is_rattler: std::mem::take(&mut contacts.is_rattler),
+            area: shapes.iter().map(|s| s.area).collect(),
+            perimeter: shapes.iter().map(|s| s.perimeter).collect(),
+            shape_parameter: shapes.iter().map(|s| s.parameter().map_or(f64::NAN, |a| a.polygon)).collect(),
+            pressure: Vec::new(),
+        };
+        drop(shapes);
+        columns.pressure = system.terms(|p, t| {
+            let area = columns.area[p];
+            if area > 0.0 { 0.5 * (t.centroid[0] + t.centroid[3]) / area } else { f64::NAN }
+        })?;
         let sample = Sample {
             density,
             voids,
@@ -99,7 +118,7 @@ impl Sample {
             n_contacts: contacts.n_contacts,
             n_rattlers: contacts.n_rattlers,
             contact_number: contacts.contact_number(),
-            shape_parameter: mean_shape_parameter(system, &shapes),
+            shape_parameter,
             mean_area,
             area_deviation,
             max_force: report.max_force,
@@ -108,17 +127,6 @@ impl Sample {
             strain: 0.0,
             moduli: None,
             onset: None,
-        };
-        let per_area = |(t, s): (&crate::model::Terms, &Shape)| {
-            if s.area > 0.0 { 0.5 * (t.centroid[0] + t.centroid[3]) / s.area } else { f64::NAN }
-        };
-        let columns = PerParticle {
-            contacts: contacts.touching.iter().map(|row| row.len() as u32).collect(),
-            is_rattler: contacts.is_rattler,
-            area: shapes.iter().map(|s| s.area).collect(),
-            perimeter: shapes.iter().map(|s| s.perimeter).collect(),
-            shape_parameter: shapes.iter().map(|s| s.parameter().map_or(f64::NAN, |a| a.polygon)).collect(),
-            pressure: terms.iter().zip(&shapes).map(per_area).collect(),
         };
         Ok((sample, columns))
     }

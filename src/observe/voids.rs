@@ -89,6 +89,17 @@ impl VoidStatistics {
         }
     }
 
+    /// The part of the box that voids and slivers fill.
+    fn filled(&self, pbox: &PeriodicBox) -> f64 {
+        (self.area + self.sliver_area) / pbox.area()
+    }
+
+    /// That voids fill what particles leave of the box, an error if they do not.
+    pub fn fill(&self, pbox: &PeriodicBox, packing_fraction: f64) -> Result<(), EngineError> {
+        let (found, left) = (self.filled(pbox), 1.0 - packing_fraction);
+        if (found - left).abs() > ROUNDING { Err(EngineError::Voids { found, left }) } else { Ok(()) }
+    }
+
     /// P_l for l = 3, 4, 5, 6 and more: fractions of the voids that do not percolate; zeros without any.
     pub fn fractions(&self) -> [f64; 5] {
         let n = self.with_sides.iter().sum::<u64>().max(1) as f64;
@@ -122,7 +133,7 @@ impl Voids {
     ) -> Result<Voids, EngineError> {
         let thickness = Thickness::of(system);
         let counts = |id: u32| removed.binary_search(&id).is_err();
-        let smallest_island = 0.5 * smallest_area(system)?;
+        let smallest_island = 0.5 * smallest_area(system);
         let widest = thickness.widest_gap();
         let Settling { mut voids, kept, open } = system.with_whole_neighbors(|seen| {
             let mut settling = Settling::default();
@@ -146,11 +157,12 @@ impl Voids {
         }
         let is_linked = !system.comm.any(!is_linked);
         let statistics = VoidStatistics::of(&system.comm, &voids);
-        let area = system.pbox().area();
-        let found = (statistics.area + statistics.sliver_area) / area;
-        let left = packing_fraction.map_or(found, |rho| 1.0 - rho);
-        if !is_linked || (found - left).abs() > ROUNDING {
-            return Err(EngineError::Voids { found, left });
+        if !is_linked {
+            let found = statistics.filled(system.pbox());
+            return Err(EngineError::Voids { found, left: found });
+        }
+        if let Some(packing_fraction) = packing_fraction {
+            statistics.fill(system.pbox(), packing_fraction)?;
         }
         voids.retain(|void| !void.is_sliver());
         sort(&mut voids);
@@ -191,8 +203,7 @@ fn sort(voids: &mut [Void]) {
 }
 
 /// Of all particles the least area that one covers, less its shell unless that is all of it. Collective.
-fn smallest_area<M: Model>(system: &mut System<M>) -> Result<f64, EngineError> {
-    system.prepare()?;
+fn smallest_area<M: Model>(system: &System<M>) -> f64 {
     let (particles, pbox) = (system.particles(), system.pbox());
     let width = system.model.range(system.largest_size());
     let area = |p: usize| match particles.bodies {
@@ -203,7 +214,7 @@ fn smallest_area<M: Model>(system: &mut System<M>) -> Result<f64, EngineError> {
         }
     };
     let smallest = (0..particles.len()).map(area).fold(f64::INFINITY, f64::min);
-    Ok(-system.comm.max(-smallest))
+    -system.comm.max(-smallest)
 }
 
 /// Outlines of particles, a few particles after the others, and the voids among them.

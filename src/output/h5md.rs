@@ -20,7 +20,7 @@
 
 use super::error::{OutputError, agree, on_root};
 use super::folder::{explain, make_way, publish, reserve};
-use super::rows::{Block, to_blocks, whole};
+use super::rows::{Block, to_block, whole};
 use crate::comm::Comm;
 use crate::geometry::PeriodicBox;
 use crate::particles::{Bodies, Particles};
@@ -77,8 +77,8 @@ pub struct Frame<'a> {
     pub scalars: &'a [(&'a str, f64)],
     /// In the order xx, xy, yx, yy.
     pub tensors: &'a [(&'a str, [f64; 4])],
-    /// One value per own particle.
-    pub columns: &'a [(&'a str, Vec<f64>)],
+    /// A number of each own particle, by its place.
+    pub columns: &'a [(&'a str, Box<dyn Fn(usize) -> f64 + 'a>)],
 }
 
 /// A results file being written. To be dropped on all ranks together, before MPI ends.
@@ -113,7 +113,7 @@ impl ResultsFile {
     }
 
     fn begin(comm: &Comm, path: &Path, part: PathBuf, header: &Header, particles: &Particles) -> Result<Self, String> {
-        let block = to_blocks(comm, particles, &[])?;
+        let block = to_block(comm, particles)?;
         let file = agree(comm, access(comm).and_then(|fapl| File::with_options().set_fapl(&fapl)?.create(&part)))?;
         on_root(comm, || {
             let sizes = 32 * (block.total + block.total_points) as u64;
@@ -145,8 +145,7 @@ impl ResultsFile {
     }
 
     fn try_append(&mut self, comm: &Comm, frame: &Frame) -> Result<(), String> {
-        let columns: Vec<&[f64]> = frame.columns.iter().map(|(_, values)| &values[..]).collect();
-        let block = to_blocks(comm, frame.particles, &columns)?;
+        let block = to_block(comm, frame.particles)?;
         let items = items(comm, frame, &block);
         let same = self.frames == 0
             || (items.len() == self.elements.len() && items.iter().all(|i| self.elements.contains_key(&i.name)));
@@ -162,7 +161,10 @@ impl ResultsFile {
             }
             agree(comm, resize(&self.elements[&item.name], self.frames + 1))?;
         }
-        agree(comm, items.iter().try_for_each(|item| item.write(&self.elements[&item.name], self.frames)))?;
+        // one after the other: the values of all at once would take several times as much memory
+        for item in &items {
+            agree(comm, item.write(&self.elements[&item.name], self.frames))?;
+        }
         agree(comm, self.file.flush())?;
         self.frames += 1;
         Ok(())
@@ -344,72 +346,67 @@ pub(super) fn slab(ranges: Vec<Range<usize>>) -> Selection {
 }
 
 /// This rank's part of one time-dependent element in one frame.
-struct Item {
+struct Item<'a> {
     name: String,
     /// Shape of the element in a frame, without the axis of samples.
     shape: Vec<usize>,
     /// The rows of the first axis of `shape` that are written here.
     rows: Range<usize>,
-    values: Values,
+    values: Values<'a>,
 }
 
-enum Values {
-    Real(Vec<f64>),
-    Whole(Vec<i64>),
-}
-
-impl Values {
-    /// No values of the same kind.
-    fn none(&self) -> Values {
-        match self {
-            Values::Real(_) => Values::Real(Vec::new()),
-            Values::Whole(_) => Values::Whole(Vec::new()),
-        }
-    }
+/// How to come by the values, which may be collective.
+enum Values<'a> {
+    Real(Box<dyn Fn() -> Vec<f64> + 'a>),
+    Whole(Box<dyn Fn() -> Vec<i64> + 'a>),
 }
 
 /// Everything that a frame writes, the same names in the same order on all ranks.
-fn items(comm: &Comm, frame: &Frame, block: &Block) -> Vec<Item> {
-    let edges = vec![frame.pbox.lx(), 0.0, frame.pbox.xy(), frame.pbox.ly()];
+fn items<'a>(comm: &'a Comm, frame: &'a Frame, block: &'a Block) -> Vec<Item<'a>> {
     let particles = &block.particles;
-    let positions = (0..particles.len()).flat_map(|p| whole(frame.pbox, particles, p)).flatten().collect();
-    let fractions = particles.position.iter().flat_map(|f| f.to_bits()).collect();
+    let positions = || (0..particles.len()).flat_map(|p| whole(frame.pbox, particles, p)).flatten().collect();
+    let fractions = || particles.position.iter().flat_map(|f| f.to_bits()).collect();
     // what all ranks have is written by one
-    let once = |name: String, shape: &[usize], values: Values| {
-        let rows = 0..shape.first().copied().unwrap_or(1);
-        Item { name, shape: shape.to_vec(), rows, values: if comm.is_root() { values } else { values.none() } }
+    let rows = |shape: &[usize]| 0..shape.first().copied().unwrap_or(1);
+    let once = |name: String, shape: &[usize], values: Vec<f64>| Item {
+        name,
+        shape: shape.to_vec(),
+        rows: rows(shape),
+        values: Values::Real(Box::new(move || if comm.is_root() { values.clone() } else { Vec::new() })),
     };
-    let of_points = |name: &str, values: Values| Item {
-        name: name.to_owned(),
+    let of_points = |name: String, values: Values<'a>| Item {
+        name,
         shape: vec![block.total_points, 2],
         rows: block.points.clone(),
         values,
     };
+    let step = move || if comm.is_root() { vec![frame.step as i64] } else { Vec::new() };
+    let edges = vec![frame.pbox.lx(), 0.0, frame.pbox.xy(), frame.pbox.ly()];
     let mut items = vec![
-        once(STEP.to_owned(), &[], Values::Whole(vec![frame.step as i64])),
-        once(TIME.to_owned(), &[], Values::Real(vec![frame.step as f64])),
-        once(format!("{EDGES}/value"), &[2, 2], Values::Real(edges)),
-        of_points(&format!("{POSITION}/value"), Values::Real(positions)),
-        of_points(&format!("{FRACTION}/value"), Values::Whole(fractions)),
+        Item { name: STEP.to_owned(), shape: Vec::new(), rows: rows(&[]), values: Values::Whole(Box::new(step)) },
+        once(TIME.to_owned(), &[], vec![frame.step as f64]),
+        once(format!("{EDGES}/value"), &[2, 2], edges),
+        of_points(format!("{POSITION}/value"), Values::Real(Box::new(positions))),
+        of_points(format!("{FRACTION}/value"), Values::Whole(Box::new(fractions))),
     ];
     for &(name, value) in frame.scalars {
-        items.push(once(format!("{OBSERVABLES}/{name}/value"), &[], Values::Real(vec![value])));
+        items.push(once(format!("{OBSERVABLES}/{name}/value"), &[], vec![value]));
     }
     for &(name, tensor) in frame.tensors {
-        items.push(once(format!("{OBSERVABLES}/{name}/value"), &[2, 2], Values::Real(tensor.to_vec())));
+        items.push(once(format!("{OBSERVABLES}/{name}/value"), &[2, 2], tensor.to_vec()));
     }
-    for ((name, _), values) in frame.columns.iter().zip(&block.columns) {
+    for (name, value) in frame.columns {
         items.push(Item {
             name: format!("{COLUMNS}/{name}/value"),
             shape: vec![block.total],
             rows: block.ids.clone(),
-            values: Values::Real(values.clone()),
+            values: Values::Real(Box::new(move || block.column(comm, frame.particles, value))),
         });
     }
     items
 }
 
-impl Item {
+impl Item<'_> {
     fn chunk(&self) -> Vec<usize> {
         match &self.shape[..] {
             [] => vec![CHUNK_SAMPLES],
@@ -451,8 +448,8 @@ impl Item {
             ranges.extend(rest.iter().map(|&n| 0..n));
         }
         match &self.values {
-            Values::Real(values) => write_part(dataset, ranges, values),
-            Values::Whole(values) => write_part(dataset, ranges, values),
+            Values::Real(values) => write_part(dataset, ranges, &values()),
+            Values::Whole(values) => write_part(dataset, ranges, &values()),
         }
     }
 }
@@ -492,7 +489,7 @@ mod tests {
         step: u64,
         pbox: &'a PeriodicBox,
         particles: &'a Particles,
-        columns: &'a [(&'a str, Vec<f64>)],
+        columns: &'a [(&'a str, Box<dyn Fn(usize) -> f64>)],
     ) -> Frame<'a> {
         let scalars = &[("density", 0.84), ("pressure", -0.0), ("max_force", 1e-14)];
         Frame { step, pbox, particles, scalars, tensors: &[("stress_virial", [1.0, 2.0, 3.0, 4.0])], columns }
@@ -507,7 +504,8 @@ mod tests {
             let mut file = ResultsFile::create(&comm, &path, &header(), &particles).unwrap();
             for step in 0..3 {
                 let pbox = PeriodicBox::new(3.0, 2.0 + step as f64 / 3.0, 0.1 * step as f64);
-                let columns = [("z", vec![1.0 + step as f64, f64::NAN])];
+                let columns: [(_, Box<dyn Fn(usize) -> f64>); 1] =
+                    [("z", Box::new(move |p| [1.0 + step as f64, f64::NAN][p]))];
                 file.append(&comm, &frame(step, &pbox, &particles, &columns)).unwrap();
             }
             assert!(!path.exists(), "no unfinished file has the name of a finished one");
@@ -517,7 +515,7 @@ mod tests {
             assert_eq!(results.header, header());
             assert_eq!((results.frames, results.particles, results.failure.as_deref()), (3, 2, None));
             let at = results.frame(&comm, 2).unwrap();
-            let sorted = to_blocks(&comm, &particles, &[]).unwrap().particles;
+            let sorted = to_block(&comm, &particles).unwrap().particles;
             assert_eq!(at.pbox, PeriodicBox::new(3.0, 2.0 + 2.0 / 3.0, 0.2));
             assert_eq!((at.step, &at.particles.id, &at.particles.size), (2, &sorted.id, &sorted.size));
             assert_eq!((&at.particles.bodies, &at.particles.position), (&sorted.bodies, &sorted.position));
@@ -546,7 +544,7 @@ mod tests {
         let pbox = PeriodicBox::square(3.0);
         let mut file = ResultsFile::create(&comm, &path, &header(), &particles).unwrap();
         file.append(&comm, &frame(0, &pbox, &particles, &[])).unwrap();
-        let more = [("z", vec![0.0, 0.0])];
+        let more: [(_, Box<dyn Fn(usize) -> f64>); 1] = [("z", Box::new(|_| 0.0))];
         let error = file.append(&comm, &frame(1, &pbox, &particles, &more)).unwrap_err().to_string();
         assert!(error.contains("the same in all samples"), "{error}");
         file.finish(&comm, Some(&"δ".repeat(300))).unwrap();

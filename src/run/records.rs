@@ -106,10 +106,11 @@ impl Sink for Records {
         columns: &PerParticle,
     ) -> Result<(), Failure> {
         let Some(file) = &mut self.file else { return Ok(()) };
+        system.lay_bare();
         let frame = Frame {
             step: self.samples.len() as u64,
             pbox: system.pbox(),
-            particles: &system.own_particles(),
+            particles: system.particles(),
             scalars: &scalars(density, &sample),
             tensors: &sample.tensors(),
             columns: &columns.named(),

@@ -39,8 +39,10 @@ pub fn write(comm: &Comm, path: &Path, polygons: bool, frames: u32) -> Result<()
     for frame in 0..frames {
         let particles = share(comm, polygons, frame);
         let pbox = PeriodicBox::new(9.0, 8.0 + frame as f64 / 3.0, 0.25);
-        let value = |id: &u32| noise(*id, 77, frame) as f64;
-        let columns = [("z", particles.id.iter().map(value).collect()), ("pressure", vec![1.5; particles.len()])];
+        let columns: [(_, Box<dyn Fn(usize) -> f64>); 2] = [
+            ("z", Box::new(|p| noise(particles.id[p], 77, frame) as f64)),
+            ("pressure", Box::new(|_| 1.5)),
+        ];
         let scalars = [("density", 0.8 + frame as f64 / 30.0), ("pressure", 1e-5)];
         let tensors = [("stress", [1.0, 2.0, 3.0, frame as f64])];
         let (scalars, tensors) = (&scalars[..], &tensors[..]);
