@@ -494,8 +494,8 @@ impl<M: Model> System<M> {
     }
 
     /// Hands particles to the owners of their centres and lets go of forces, lists and foreign points, which are as much
-    /// memory again as the particles and more: to be had again from [`System::prepare`]. As long as nothing moves, particles
-    /// are stored in the same order from then on. Collective.
+    /// memory again as the particles and more: to be had again from [`System::prepare`], before which no point can be moved. As
+    /// long as nothing moves, particles are stored in the same order from then on. Collective.
     pub fn lay_bare(&mut self) {
         if self.bare && !self.stale && self.travel_bound == 0.0 {
             return;
@@ -505,7 +505,8 @@ impl<M: Model> System<M> {
         (self.forces, self.lightened, self.built_position) = (Vec::new(), Vec::new(), Vec::new());
         self.particles.forget_foreign();
         self.migrate();
-        if self.stale || self.counters.rebuilds.is_multiple_of(REBUILDS_PER_SORT) {
+        let has_moved = self.travel_bound > 0.0;
+        if self.stale || has_moved && self.counters.rebuilds.is_multiple_of(REBUILDS_PER_SORT) {
             self.sort_in_space();
         }
         self.chunks = self.particles.bodies.chunks(self.particles.len());

@@ -142,6 +142,19 @@ where
     assert_eq!(sent, received);
     assert!(system.comm.size() == 1 || received > 0);
     assert!(system.counters.rebuilds < 20, "most rounds must be updates, not rebuilds");
+    // what was measured before lists were let go of belongs to the same particles after that
+    for round in 0..20 {
+        system.prepare().unwrap();
+        shake(&mut system, step, round as f64);
+        system.lay_bare();
+        let order = system.particles().id.clone();
+        for _ in 0..2 {
+            system.prepare().unwrap();
+            assert_eq!(system.particles().id, order, "round {round}");
+            system.lay_bare();
+        }
+        assert_eq!(system.particles().id, order, "round {round}");
+    }
     describe(&mut system)
 }
 
