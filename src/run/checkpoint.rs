@@ -35,7 +35,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Outcomes that a rank keeps in memory, in bytes, before they are written whatever the time.
-const MOST_KEPT: usize = 64 << 20;
+const MOST_KEPT: usize = 8 << 20;
 /// Which program a checkpoint is from.
 const PROGRAM: &str = concat!("# jamhpc ", env!("CARGO_PKG_VERSION"), " ", env!("JAMHPC_GIT_HASH"));
 
