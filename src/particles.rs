@@ -66,6 +66,9 @@ impl Bodies {
     }
 }
 
+/// A number of every owned particle, by its place.
+pub type Column<'a> = Box<dyn Fn(usize) -> f64 + 'a>;
+
 /// Particles as structure of arrays. Global ids are unique over all ranks; the order of storage means nothing.
 #[derive(Clone, Debug)]
 pub struct Particles {

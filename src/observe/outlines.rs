@@ -157,8 +157,8 @@ impl<'a> Outlines<'a> {
             Some(radius) => {
                 edges.reserve(particles.position.len());
                 first.push(0);
-                for p in 0..particles.len() {
-                    if counts[p] {
+                for (p, &counts) in counts.iter().enumerate() {
+                    if counts {
                         push_edges(pbox, particles.id[p], particles.points_of(p), radius, &mut edges);
                     }
                     first.push(edges.len());

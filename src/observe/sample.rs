@@ -2,6 +2,7 @@ use super::{Contacts, Moduli, PackingFraction, Rattlers, Shape, ShapeParameter, 
 use crate::engine::{Energies, EngineError, System};
 use crate::minimize::Report;
 use crate::model::Model;
+use crate::particles::Column;
 
 /// Everything that is measured on one state of a system, the same on all ranks.
 ///
@@ -46,9 +47,6 @@ pub struct OnsetBracket {
     /// Highest density below that at which it was not.
     pub unjammed: f64,
 }
-
-/// A number of every own particle, by its place.
-pub type Column<'a> = Box<dyn Fn(usize) -> f64 + 'a>;
 
 /// Columns with one entry per own particle, in the order of storage.
 #[derive(Clone, Debug, Default, PartialEq)]

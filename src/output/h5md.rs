@@ -23,7 +23,7 @@ use super::folder::{explain, make_way, publish, reserve};
 use super::rows::{Block, to_block, whole};
 use crate::comm::Comm;
 use crate::geometry::PeriodicBox;
-use crate::particles::{Bodies, Particles};
+use crate::particles::{Bodies, Column, Particles};
 use hdf5::dataset::FillTime;
 use hdf5::file::FileAccess;
 use hdf5::types::{FixedAscii, FixedUnicode, VarLenUnicode};
@@ -78,7 +78,7 @@ pub struct Frame<'a> {
     /// In the order xx, xy, yx, yy.
     pub tensors: &'a [(&'a str, [f64; 4])],
     /// A number of each own particle, by its place.
-    pub columns: &'a [(&'a str, Box<dyn Fn(usize) -> f64 + 'a>)],
+    pub columns: &'a [(&'a str, Column<'a>)],
 }
 
 /// A results file being written. To be dropped on all ranks together, before MPI ends.
@@ -489,7 +489,7 @@ mod tests {
         step: u64,
         pbox: &'a PeriodicBox,
         particles: &'a Particles,
-        columns: &'a [(&'a str, Box<dyn Fn(usize) -> f64>)],
+        columns: &'a [(&'a str, Column<'a>)],
     ) -> Frame<'a> {
         let scalars = &[("density", 0.84), ("pressure", -0.0), ("max_force", 1e-14)];
         Frame { step, pbox, particles, scalars, tensors: &[("stress_virial", [1.0, 2.0, 3.0, 4.0])], columns }
@@ -504,8 +504,7 @@ mod tests {
             let mut file = ResultsFile::create(&comm, &path, &header(), &particles).unwrap();
             for step in 0..3 {
                 let pbox = PeriodicBox::new(3.0, 2.0 + step as f64 / 3.0, 0.1 * step as f64);
-                let columns: [(_, Box<dyn Fn(usize) -> f64>); 1] =
-                    [("z", Box::new(move |p| [1.0 + step as f64, f64::NAN][p]))];
+                let columns: [(_, Column); 1] = [("z", Box::new(move |p| [1.0 + step as f64, f64::NAN][p]))];
                 file.append(&comm, &frame(step, &pbox, &particles, &columns)).unwrap();
             }
             assert!(!path.exists(), "no unfinished file has the name of a finished one");
@@ -544,7 +543,7 @@ mod tests {
         let pbox = PeriodicBox::square(3.0);
         let mut file = ResultsFile::create(&comm, &path, &header(), &particles).unwrap();
         file.append(&comm, &frame(0, &pbox, &particles, &[])).unwrap();
-        let more: [(_, Box<dyn Fn(usize) -> f64>); 1] = [("z", Box::new(|_| 0.0))];
+        let more: [(_, Column); 1] = [("z", Box::new(|_| 0.0))];
         let error = file.append(&comm, &frame(1, &pbox, &particles, &more)).unwrap_err().to_string();
         assert!(error.contains("the same in all samples"), "{error}");
         file.finish(&comm, Some(&"δ".repeat(300))).unwrap();

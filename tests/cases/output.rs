@@ -4,7 +4,7 @@ use jamhpc::comm::Comm;
 use jamhpc::geometry::{Frac, PeriodicBox};
 use jamhpc::output::render::{Look, write_packing};
 use jamhpc::output::{Frame, Header, OutputError, Results, ResultsFile};
-use jamhpc::particles::{Bodies, Particles};
+use jamhpc::particles::{Bodies, Column, Particles};
 use std::path::Path;
 
 const COUNT: u32 = 37;
@@ -39,7 +39,7 @@ pub fn write(comm: &Comm, path: &Path, polygons: bool, frames: u32) -> Result<()
     for frame in 0..frames {
         let particles = share(comm, polygons, frame);
         let pbox = PeriodicBox::new(9.0, 8.0 + frame as f64 / 3.0, 0.25);
-        let columns: [(_, Box<dyn Fn(usize) -> f64>); 2] = [
+        let columns: [(_, Column); 2] = [
             ("z", Box::new(|p| noise(particles.id[p], 77, frame) as f64)),
             ("pressure", Box::new(|_| 1.5)),
         ];
