@@ -58,7 +58,7 @@ pub fn checks(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>, Pr
     let mut checks = Vec::new();
     let counts: &[usize] = match effort {
         Effort::Quick => &QUICK,
-        Effort::Long => &[12, 18, 24, 30, 36, 42, 48],
+        Effort::Long => &[12, 18, 24, 30, 36],
     };
     let delta = 0.2;
     let hardest = material(delta, HARD);
