@@ -295,9 +295,8 @@ fn amplitude_checks(comm: &Comm) -> Vec<Check> {
 /// Statistics of deformable particles near confluence, in the long mode, with δ = 0.1 and the paper's stiffness.
 ///
 /// A packing that is about to change neighbours has a G as far below zero as it is near to it, so that the mean of some
-/// packings is what the worst of them says; their median is compared, to the last digit of the reference and two standard
-/// errors of the difference. The reference comes from random packings too, how many is not known; its error is taken to be
-/// that of the median. From ρ ≈ 0.97 on, read as 0.975, all voids that are left have three sides; to half a percent.
+/// packings is what the worst of them says; their median is compared, to two standard errors and the last digit of the
+/// reference. From ρ ≈ 0.97 on, read as 0.975, all voids that are left have three sides; to half a percent.
 pub fn deformable(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>, ProtocolError> {
     if effort == Effort::Quick {
         return Ok(Vec::new());
@@ -338,8 +337,7 @@ pub fn deformable(world: &dyn Fn() -> Comm, effort: Effort) -> Result<Vec<Check>
         let of = |column: usize| rows.iter().map(move |row| row[2 * k + column]);
         if let Some([expected, rounded]) = modulus {
             let [g, error] = median_and_error(of(0));
-            let of_difference = error * 2.0f64.sqrt();
-            checks.push(Check::new(name("median G"), expected, g, (rounded + 2.0 * of_difference) / expected));
+            checks.push(Check::new(name("median G"), expected, g, (rounded + 2.0 * error) / expected));
         }
         if let Some(expected) = three {
             let [p, error] = mean_and_error(of(1));
