@@ -255,9 +255,9 @@ impl<M: Model> System<M> {
         self.particles.carried = vec![vec![[0.0; 2]; points]; n];
     }
 
-    /// Gives each own point a vector that travels with it, in place of all others.
-    pub fn carry_these(&mut self, vectors: Vec<Vec2>) {
-        self.particles.carried = vec![vectors];
+    /// Gives each own point the vectors that travel with it, in place of all others.
+    pub fn carry_these(&mut self, vectors: Vec<Vec<Vec2>>) {
+        self.particles.carried = vectors;
     }
 
     /// Changes the box and takes every point along affinely.

@@ -135,7 +135,7 @@ fn forces_are_foreseen_where_contacts_open_and_close() {
     let shake = |packing: &mut Packing, start: f64| {
         let n = packing.forces().len();
         let moves: Vec<Vec2> = (0..n).map(|k| [step(2 * k, start), step(2 * k + 1, start)]).collect();
-        packing.carry_these(moves.clone());
+        packing.carry_these(vec![moves.clone()]);
         packing.move_points(2e-5, |pbox, positions, moves, _| {
             positions.iter_mut().zip(moves).for_each(|(position, &mut by)| *position = pbox.moved(*position, by));
         });

@@ -25,8 +25,8 @@ pub struct Cholesky {
     pattern: Option<SymbolicCholesky<usize>>,
     /// Values of the factor, empty where there is none.
     factor: Vec<f64>,
-    /// For each rank the places of its points in the order of global ids. Rank 0 only, as the above.
-    places: Vec<Vec<usize>>,
+    /// Place of each particle's first point in the order of global ids. Rank 0 only, as the above.
+    first: Vec<usize>,
 }
 
 impl Cholesky {
@@ -70,21 +70,22 @@ impl Cholesky {
     /// u for the own points, given b there. Collective; call [`Cholesky::factorize`] first.
     pub fn solve<M: Model>(&self, system: &System<M>, b: &[Vec2]) -> Vec<Vec2> {
         let comm = &system.comm;
-        let words = |vectors: &[Vec2]| vectors.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<u64>>();
-        let gathered = comm.gather(words(b));
+        let name = super::names(system.particles());
+        let named = |(&name, v): (&u64, &Vec2)| [name, v[0].to_bits(), v[1].to_bits()];
+        let gathered = comm.gather(name.iter().zip(b).flat_map(named).collect::<Vec<u64>>());
         let mut parts = vec![Vec::new(); comm.size()];
         if let (Some(pattern), false) = (&self.pattern, self.factor.is_empty()) {
             let factor = LltRef::new(pattern, &self.factor);
-            let mut x = Col::<f64>::zeros(2 * self.places.iter().map(Vec::len).sum::<usize>());
-            for (places, part) in self.places.iter().zip(&gathered) {
-                for (&place, v) in places.iter().zip(part.chunks_exact(2)) {
-                    [0, 1].into_iter().for_each(|k| x[2 * place + k] = f64::from_bits(v[k]));
-                }
+            let mut x = Col::<f64>::zeros(gathered.iter().map(|part| part.len() / 3 * 2).sum());
+            for named in gathered.iter().flat_map(|part| part.chunks_exact(3)) {
+                let place = place(&self.first, named[0]);
+                [0, 1].into_iter().for_each(|k| x[2 * place + k] = f64::from_bits(named[1 + k]));
             }
             let mut scratch = MemBuffer::new(pattern.solve_in_place_scratch::<f64>(1, Par::Seq));
             factor.solve_in_place_with_conj(Conj::No, x.as_mat_mut(), Par::Seq, MemStack::new(&mut scratch));
-            for (places, part) in self.places.iter().zip(&mut parts) {
-                part.extend(places.iter().flat_map(|&place| [0, 1].map(|k| x[2 * place + k].to_bits())));
+            for (named, part) in gathered.iter().zip(&mut parts) {
+                let places = named.chunks_exact(3).map(|named| place(&self.first, named[0]));
+                part.extend(places.flat_map(|place| [0, 1].map(|k| x[2 * place + k].to_bits())));
             }
         }
         let mine = comm.all_to_all(parts).swap_remove(0);
@@ -94,34 +95,28 @@ impl Cholesky {
     /// The upper triangle by columns, from rows of the lower one in any order.
     fn assemble(&mut self, rows_of_ranks: &[Vec<u64>]) {
         let mut rows: Vec<(u64, &[u64])> = Vec::new();
-        let mut names_of_ranks = Vec::new();
         for mut words in rows_of_ranks.iter().map(|w| &w[..]) {
-            let mut names = Vec::new();
             while let [name, length, rest @ ..] = words {
                 let (row, others) = rest.split_at(*length as usize);
                 rows.push((*name, row));
-                names.push(*name);
                 words = others;
             }
-            names_of_ranks.push(names);
         }
         rows.sort_unstable_by_key(|&(name, _)| name);
         // names are (id, place in the particle), so that a particle's points stand together
         let particles = rows.last().map_or(0, |&(name, _)| (name >> 32) as usize + 1);
-        let mut first = vec![usize::MAX; particles];
+        self.first = vec![usize::MAX; particles];
         for (place, &(name, _)) in rows.iter().enumerate() {
-            let slot = &mut first[(name >> 32) as usize];
+            let slot = &mut self.first[(name >> 32) as usize];
             *slot = place.min(*slot);
         }
-        let place = |name: u64| first[(name >> 32) as usize] + name as u32 as usize;
-        self.places = names_of_ranks.iter().map(|names| names.iter().map(|&n| place(n)).collect()).collect();
 
         let n = 2 * rows.len();
         let (mut start, mut index, mut values) = (vec![0], Vec::new(), Vec::new());
         for (i, &(_, row)) in rows.iter().enumerate() {
             for c in 0..2 {
                 for entry in row.chunks_exact(5) {
-                    let j = place(entry[0]);
+                    let j = place(&self.first, entry[0]);
                     for r in (0..2).filter(|&r| j < i || r <= c) {
                         index.push(2 * j + r);
                         values.push(f64::from_bits(entry[1 + 2 * c + r]));
@@ -139,6 +134,11 @@ impl Cholesky {
         self.matrix = Some(matrix);
         self.factor.clear();
     }
+}
+
+/// Place of a point in the order of global ids, from its name and the places of each particle's first point.
+fn place(first: &[usize], name: u64) -> usize {
+    first[(name >> 32) as usize] + name as u32 as usize
 }
 
 /// Order of elimination and pattern of the factor. Both degrees of freedom of a point have the same pattern, so points

@@ -77,8 +77,10 @@ const GROUPS: [Group; 7] = [
 /// Runs all checks; `show` sees each as soon as it is known. `world` makes a communicator of all ranks. Collective, and
 /// the same bits on any number of ranks.
 ///
+/// A group with a state that does not come to force balance is one check that fails.
+///
 /// # Errors
-/// A state that does not come to force balance, or more ranks than the small boxes of the checks hold.
+/// More ranks than the small boxes of the checks hold.
 pub fn run(
     world: &dyn Fn() -> Comm,
     effort: Effort,
@@ -86,7 +88,13 @@ pub fn run(
 ) -> Result<Vec<Check>, ProtocolError> {
     let mut all = Vec::new();
     for group in GROUPS {
-        let checks = group(world, effort)?;
+        let checks = match group(world, effort) {
+            Err(ProtocolError::Unconverged { density, report }) => {
+                let name = format!("density {density:.4}: relaxed in {} iterations", report.iterations);
+                vec![Check::new(name, 1.0, 0.0, 0.0)]
+            }
+            checks => checks?,
+        };
         checks.iter().for_each(&mut show);
         all.extend(checks);
     }

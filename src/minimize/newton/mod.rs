@@ -1,0 +1,301 @@
+mod steps;
+
+use super::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, RUNAWAY, Report, TURN};
+use crate::engine::{EngineError, System};
+use crate::model::Model;
+use crate::stiffness::Cholesky;
+
+/// Newton's method with a sparse factor of the Hessian, led to the minimum through softer contacts.
+///
+/// Hard contacts between soft outlines are what makes deformable particles slow to relax: the stiffest modes are up to
+/// 10⁶ times as stiff as the softest, and where a contact opens or closes a long step along the soft ones excites the
+/// stiff. So contacts are first made softer by [`SOFTEST`], which leaves shapes and positions nearly as they are;
+/// FIRE then relaxes in a thousand steps or so what takes hundreds of thousands with hard contacts. From there the
+/// minimum is followed while contacts harden, [`HARDER`] times at once, each time by some Newton steps, in which the
+/// contact forces of the level before are kept at first (pre-stress). Where they lead nowhere FIRE and conjugate gradients
+/// go on: they are quick where little is left to move. After a small change of a relaxed state Newton steps at full
+/// stiffness are tried first: they follow the minimum of before. Goals that FIRE reaches soon need no factor at all, so
+/// that systems too large for one can be relaxed to them.
+///
+/// Outlines that press on each other sink into each other when their contacts are much softer than their shapes, and end
+/// in another minimum, from where the way back is long. So contacts that are not much stiffer than shapes are made only
+/// so soft that they overlap by a small part of their width.
+///
+/// Disks have nothing but contacts: conjugate gradients until they press on each other, then Newton steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Newton;
+
+/// The softest contacts, as a part of their stiffness: the stiffest modes are then those of the areas.
+const SOFTEST: f64 = 1e-3;
+/// With mild contacts their stiffest modes are this part of those of shapes. Where [`SOFTEST`] is more than ten times
+/// softer, so many iterations at most tell how strongly outlines press on each other.
+const MILD: f64 = 0.5;
+const MILDLY: u64 = 10_000;
+/// Near the onset contacts are so soft that they overlap by this part of [`Model::step_cap`], but no softer than
+/// [`GENTLEST`]: there they are about as stiff as the softest shapes.
+const GENTLE: f64 = 2e-3;
+const GENTLEST: f64 = 1e-6;
+/// Contacts harden by this factor at once, by its root where Newton steps do not follow, and so on down to the other.
+const HARDER: f64 = 10.0;
+const HARDER_LEAST: f64 = 1.5;
+/// max|F| of intermediate levels, and that to which FIRE or conjugate gradients go before Newton's method is tried and
+/// where it has failed on the way, in the unit of [`Model::force_unit`].
+const ON_THE_WAY: f64 = 1e-6;
+const ROUGH: f64 = 1e-4;
+/// Contacts harden when forces are balanced to this part of the pressure: below the onset, where nothing touches at the
+/// minimum, soft contacts vanish quickly, and hard ones bounce.
+const BALANCED: f64 = 1e-4;
+/// Forces of shapes are rounded to a tenth of this, in the same unit.
+const ROUNDED: f64 = 1e-12;
+/// Particles press on each other where forces are balanced to this part of the pressure: disks are brought to their minimum
+/// by Newton's method from there. Just below the onset they never are: overlaps vanish slowly there, and forces with them.
+const PRESSED: f64 = 1e-2;
+/// Polygons are relaxed by FIRE to this force, in the same unit; from there on its bounces off hard contacts cost more than
+/// the line searches of conjugate gradients.
+const FINE: f64 = 1e-5;
+/// Either may come to nothing, conjugate gradients where outlines only just touch, FIRE where an edge has become so short
+/// that its tension is stiffer than contacts: not more than so many iterations at once where Newton steps can go on.
+const PATIENCE: u64 = 50_000;
+/// Largest overlap of contacts, over [`Model::step_cap`], that forces may tell of for a change to count as small.
+const SMALL: f64 = 0.1;
+impl Minimizer for Newton {
+    fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
+        let unit = system.model.force_unit();
+        let mut search = Search { goal, unit, stiffest: 0.0, cholesky: Cholesky::default(), report: Report::default() };
+        let converged = match system.model.softened(1.0) {
+            Some(full) => {
+                let outcome = search.through_softer(system, &full);
+                system.model = full;
+                outcome?
+            }
+            None => {
+                search.stiffest = system.model.time_step().powi(-2);
+                search.settle(system, goal.force_tolerance)?
+            }
+        };
+        let report = search.report;
+        Ok(if converged { Minimized::Converged(report) } else { Minimized::Unconverged(report) })
+    }
+}
+
+struct Search<'a> {
+    goal: &'a Goal,
+    /// [`Model::force_unit`].
+    unit: f64,
+    /// Bound on the stiffest mode where contacts are softest.
+    stiffest: f64,
+    cholesky: Cholesky,
+    report: Report,
+}
+
+impl Search<'_> {
+    /// Relaxes with soft contacts, then hardens them; leaves the last model tried in the system.
+    fn through_softer<M: Model>(&mut self, system: &mut System<M>, full: &M) -> Result<bool, EngineError> {
+        let at = |level: f64| full.softened(level).expect("what was softened once can be again");
+        let is_fine = self.is_fine();
+        let small = SMALL * full.step_cap() / (4.0 * full.time_step().powi(2));
+        self.stiffest = at(SOFTEST).time_step().powi(-2);
+        if is_fine && self.forces(system)? <= small {
+            // contact forces as they are after a change of the box say nothing of those at balance: no pre-stress
+            if self.attempt(system, self.goal.force_tolerance, 0.0)? {
+                return Ok(true);
+            }
+        }
+        let mut level = self.soft_level(system, full, at)?;
+        system.model = at(level);
+        let on_the_way = self.goal.force_tolerance.max(ON_THE_WAY * self.unit);
+        if !self.settle(system, on_the_way)? {
+            return Ok(false);
+        }
+        let mut fine = on_the_way;
+        if is_fine {
+            match self.balance_softly(system, level)? {
+                Some(tolerance) => fine = tolerance.clamp(self.goal.force_tolerance, on_the_way),
+                None => return Ok(false),
+            }
+        }
+        let mut harder = HARDER;
+        while level < 1.0 {
+            let next = (harder * level).min(1.0);
+            let tolerance = if next == 1.0 { self.goal.force_tolerance } else { fine };
+            system.model = at(next);
+            if is_fine && self.attempt(system, tolerance, level / next)? {
+                harder = HARDER;
+            } else if is_fine && harder > HARDER_LEAST {
+                harder = harder.sqrt();
+                continue;
+            } else {
+                if !self.settle(system, tolerance)? {
+                    return Ok(false);
+                }
+                harder = HARDER;
+            }
+            tracing::debug!(level = next, "contacts are harder");
+            level = next;
+        }
+        Ok(true)
+    }
+
+    /// How soft contacts are made first, as a part of their stiffness; leaves the system roughly relaxed with the mildest.
+    fn soft_level<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        full: &M,
+        at: impl Fn(f64) -> M,
+    ) -> Result<f64, EngineError> {
+        let stiffness = full.contact_stiffness().unwrap_or_default();
+        let shapes = at(0.0).time_step().powi(-2);
+        let mild = MILD * (shapes / (4.0 * stiffness)).min(1.0);
+        // what contacts push with that overlap by a step
+        let deep = full.step_cap() * stiffness;
+        if mild <= 10.0 * SOFTEST {
+            if !self.is_fine() {
+                return Ok(SOFTEST);
+            }
+            system.model = at(SOFTEST);
+            let goal = self.goal_of(ROUGH * self.unit, u64::MAX);
+            self.relax(system, &Fire, &goal)?;
+            let level = (self.push(system)? / (GENTLE * deep)).clamp(GENTLEST, SOFTEST);
+            tracing::debug!(level, "stiff contacts");
+            return Ok(level);
+        }
+        system.model = at(mild);
+        let goal = self.goal_of(self.goal.force_tolerance.max(SOFTEST * deep), MILDLY);
+        self.relax(system, &Fire, &goal)?;
+        let level = (self.push(system)? / deep).max(SOFTEST).min(mild); // also where both are 0
+        tracing::debug!(level, mild, "soft contacts overlap little");
+        Ok(level)
+    }
+
+    /// Relaxes contacts that are softened to `level` until forces are balanced to a small part of what they push with, or
+    /// to what is balance at full stiffness, too; to which force, or `None` if the iterations did not suffice.
+    fn balance_softly<M: Model>(&mut self, system: &mut System<M>, level: f64) -> Result<Option<f64>, EngineError> {
+        let least = (level * self.goal.force_tolerance).max(ROUNDED * self.unit);
+        let mut tolerance = ON_THE_WAY * self.unit;
+        while tolerance > least {
+            let push = self.push(system)?;
+            tracing::debug!(push, tolerance, "soft contacts");
+            if tolerance <= BALANCED * push {
+                break;
+            }
+            tolerance = (0.01 * tolerance).max(least);
+            if self.attempt(system, tolerance, 1.0)? {
+                continue;
+            }
+            let goal = self.goal_of(tolerance, u64::MAX);
+            if !self.rest(system, &goal)? && !self.settle(system, tolerance)? {
+                return Ok(None);
+            }
+        }
+        Ok(Some(tolerance))
+    }
+
+    /// What the pressure of contacts is on a particle, a force.
+    fn push<M: Model>(&self, system: &mut System<M>) -> Result<f64, EngineError> {
+        Ok(system.energies()?.pressure() * system.spacing())
+    }
+
+    /// A goal on the way, with the iterations that are left, at most so many.
+    fn goal_of(&self, force_tolerance: f64, max_iterations: u64) -> Goal {
+        let left = self.goal.max_iterations.saturating_sub(self.report.iterations);
+        Goal { force_tolerance, max_iterations: left.min(max_iterations) }
+    }
+
+    /// Whether factors of the Hessian are worth their cost.
+    fn is_fine(&self) -> bool {
+        self.goal.force_tolerance <= ROUGH * self.unit
+    }
+
+    /// By conjugate gradients or FIRE alone.
+    fn rest<M: Model>(&mut self, system: &mut System<M>, goal: &Goal) -> Result<bool, EngineError> {
+        if !M::BODIES {
+            return self.relax(system, &ConjugateGradient, goal);
+        }
+        let patience = if self.is_fine() { PATIENCE } else { u64::MAX };
+        let patient = |left: u64| Goal { max_iterations: left.min(patience), ..*goal };
+        let mut left = goal.max_iterations;
+        if goal.force_tolerance < FINE * self.unit {
+            if self.relax(system, &ConjugateGradient, &patient(left))? {
+                return Ok(true);
+            }
+            left -= patient(left).max_iterations;
+        }
+        self.relax(system, &Fire, &patient(left))
+    }
+
+    fn relax<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        minimizer: &impl Minimizer,
+        goal: &Goal,
+    ) -> Result<bool, EngineError> {
+        let mut memory = Vec::new();
+        let minimized = loop {
+            if let Some(minimized) = minimizer.advance(system, goal, &mut memory, TURN)? {
+                break minimized;
+            }
+            heed(system)?;
+        };
+        let Report { iterations, force_evaluations, max_force } = *minimized.report();
+        self.report.iterations += iterations;
+        self.report.force_evaluations += force_evaluations;
+        self.report.max_force = max_force;
+        tracing::debug!(iterations, max_force, "relaxed roughly");
+        Ok(minimized.is_converged())
+    }
+
+    /// Down to a minimum from wherever the system is; false when the iterations do not suffice.
+    fn settle<M: Model>(&mut self, system: &mut System<M>, tolerance: f64) -> Result<bool, EngineError> {
+        let mut rough = ROUGH * self.unit;
+        loop {
+            let goal = self.goal_of(rough.max(tolerance), u64::MAX);
+            let is_rough = self.rest(system, &goal)?;
+            if self.report.max_force <= tolerance {
+                return Ok(true);
+            }
+            if self.report.iterations >= self.goal.max_iterations {
+                return Ok(false);
+            }
+            // disks that do not press on each other yet are still on their way to other contacts
+            let is_near = M::BODIES || self.report.max_force <= PRESSED * self.push(system)?;
+            if is_near && self.newton(system, tolerance, 1.0)? {
+                return Ok(true);
+            }
+            if is_rough {
+                rough *= 0.1;
+            }
+        }
+    }
+
+    /// Newton steps, taken back when they do not go well.
+    fn attempt<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        tolerance: f64,
+        prestress: f64,
+    ) -> Result<bool, EngineError> {
+        let (pbox, before) = (*system.pbox(), system.own_particles());
+        let is_reached = self.newton(system, tolerance, prestress)?;
+        if !is_reached {
+            system.restore(pbox, before);
+        }
+        Ok(is_reached)
+    }
+
+    /// Largest force at the present positions.
+    fn forces<M: Model>(&mut self, system: &mut System<M>) -> Result<f64, EngineError> {
+        let max_force = system.max_force()?;
+        self.report.force_evaluations += 1;
+        self.report.max_force = max_force;
+        if max_force.is_nan() || max_force >= RUNAWAY {
+            let particle = system.offender(RUNAWAY).unwrap_or_default();
+            return Err(EngineError::Runaway { particle });
+        }
+        Ok(max_force)
+    }
+}
+
+/// Nothing of a minimisation is kept that ends before its time.
+fn heed<M: Model>(system: &System<M>) -> Result<(), EngineError> {
+    if system.is_to_end() { Err(EngineError::Interrupted) } else { Ok(()) }
+}
