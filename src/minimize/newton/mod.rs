@@ -35,7 +35,8 @@ const MILDLY: u64 = 10_000;
 /// [`GENTLEST`]: there they are about as stiff as the softest shapes.
 const GENTLE: f64 = 2e-3;
 const GENTLEST: f64 = 1e-6;
-/// Contacts harden by this factor at once, by its root where Newton steps do not follow, and so on down to the other.
+/// Contacts harden by this factor at once; near the onset by its root where Newton steps do not follow, and so on down to
+/// the other.
 const HARDER: f64 = 10.0;
 const HARDER_LEAST: f64 = 1.5;
 /// max|F| of intermediate levels, and that to which FIRE or conjugate gradients go before Newton's method is tried and
@@ -61,7 +62,14 @@ const SMALL: f64 = 0.1;
 impl Minimizer for Newton {
     fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
         let unit = system.model.force_unit();
-        let mut search = Search { goal, unit, stiffest: 0.0, cholesky: Cholesky::default(), report: Report::default() };
+        let mut search = Search {
+            goal,
+            unit,
+            stiffest: 0.0,
+            is_gentle: false,
+            cholesky: Cholesky::default(),
+            report: Report::default(),
+        };
         let converged = match system.model.softened(1.0) {
             Some(full) => {
                 let outcome = search.through_softer(system, &full);
@@ -84,6 +92,9 @@ struct Search<'a> {
     unit: f64,
     /// Bound on the stiffest mode where contacts are softest.
     stiffest: f64,
+    /// Whether contacts began softer than [`SOFTEST`], as near the onset: Newton steps bend then. Elsewhere straight ones
+    /// come sooner to the minimum.
+    is_gentle: bool,
     cholesky: Cholesky,
     report: Report,
 }
@@ -121,11 +132,13 @@ impl Search<'_> {
             system.model = at(next);
             if is_fine && self.attempt(system, tolerance, level / next)? {
                 harder = HARDER;
-            } else if is_fine && harder > HARDER_LEAST {
+            } else if self.is_gentle && harder > HARDER_LEAST {
                 harder = harder.sqrt();
                 continue;
             } else {
-                if !self.settle(system, tolerance)? {
+                // away from the onset the next level brings shapes near to their minimum again
+                let enough = if next == 1.0 || self.is_gentle { tolerance } else { tolerance.max(ROUGH * self.unit) };
+                if !self.settle(system, enough)? {
                     return Ok(false);
                 }
                 harder = HARDER;
@@ -156,6 +169,7 @@ impl Search<'_> {
             let goal = self.goal_of(ROUGH * self.unit, u64::MAX);
             self.relax(system, &Fire, &goal)?;
             let level = (self.push(system)? / (GENTLE * deep)).clamp(GENTLEST, SOFTEST);
+            self.is_gentle = level < SOFTEST;
             tracing::debug!(level, "stiff contacts");
             return Ok(level);
         }
