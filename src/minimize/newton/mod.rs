@@ -166,7 +166,7 @@ impl Search<'_> {
                 return Ok(SOFTEST);
             }
             system.model = at(SOFTEST);
-            let goal = self.goal_of(ROUGH * self.unit, u64::MAX);
+            let goal = self.goal_of(ROUGH * self.unit, PATIENCE);
             self.relax(system, &Fire, &goal)?;
             let level = (self.push(system)? / (GENTLE * deep)).clamp(GENTLEST, SOFTEST);
             self.is_gentle = level < SOFTEST;

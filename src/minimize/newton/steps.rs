@@ -87,7 +87,7 @@ impl Search<'_> {
                 shift = (SHIFT_FALL * shift).max(least);
             } else {
                 looks_ahead = M::BODIES;
-                shift *= SHIFT_RISE;
+                shift *= if self.is_gentle { SHIFT_RISE } else { 1.0 };
             }
         }
         Ok(max_force <= tolerance)
@@ -182,17 +182,18 @@ impl Search<'_> {
     fn along<M: Model>(&mut self, system: &mut System<M>, way: &mut Way, tolerance: f64) -> Result<f64, EngineError> {
         let mut max_force = self.report.max_force;
         let (mut before, mut beyond) = ((0.0, way.slope), None::<(f64, f64)>);
-        for _ in 0..TRIALS {
+        for _ in 1..TRIALS {
             let (here, now) = (way.here, way.slope_here(system));
             if max_force <= tolerance || now.abs() <= SLOPE * way.slope {
                 break;
             }
-            // the slope at an end that stays is halved (Illinois), else the secant creeps where slopes jump
+            // near the onset slopes jump, and the secant creeps: the slope at an end that stays is halved (Illinois)
+            let stays = if self.is_gentle { 0.5 } else { 1.0 };
             if now < 0.0 {
-                before.1 *= if beyond.is_some() { 0.5 } else { 1.0 };
+                before.1 *= if beyond.is_some() { stays } else { 1.0 };
                 beyond = Some((here, now));
             } else {
-                beyond = beyond.map(|(end, slope)| (end, if before.0 > 0.0 { 0.5 * slope } else { slope }));
+                beyond = beyond.map(|(end, slope)| (end, if before.0 > 0.0 { stays * slope } else { slope }));
                 before = (here, now);
             }
             let (Some((end, end_slope)), (start, start_slope)) = (beyond, before) else { break };
