@@ -59,6 +59,7 @@ const FINE: f64 = 1e-5;
 const PATIENCE: u64 = 50_000;
 /// Largest overlap of contacts, over [`Model::step_cap`], that forces may tell of for a change to count as small.
 const SMALL: f64 = 0.1;
+
 impl Minimizer for Newton {
     fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
         let unit = system.model.force_unit();

@@ -251,6 +251,10 @@ impl Way {
         let along = to - self.here;
         let aside = if self.farthest_bend > 0.0 { to * to - self.bent } else { 0.0 };
         (self.here, self.bent) = (to, self.bent + aside);
+        self.step(system, along, aside);
+    }
+
+    fn step<M: Model>(&self, system: &mut System<M>, along: f64, aside: f64) {
         let bound = along.abs() * self.longest + aside.abs() * self.farthest_bend;
         system.move_points_keeping(bound * (1.0 + 1e-9), |pbox, positions, directions, bends, _| {
             for ((position, d), c) in positions.iter_mut().zip(directions).zip(bends) {
@@ -266,13 +270,7 @@ impl Way {
 
     /// Back to the straight way.
     fn unbend<M: Model>(&mut self, system: &mut System<M>) {
-        let bound = self.bent * self.farthest_bend;
-        let aside = -self.bent;
-        system.move_points_keeping(bound * (1.0 + 1e-9), |pbox, positions, _, bends, _| {
-            for (position, c) in positions.iter_mut().zip(bends) {
-                *position = pbox.moved(*position, scale(aside, *c));
-            }
-        });
+        self.step(system, 0.0, -self.bent);
         (self.bent, self.farthest_bend) = (0.0, 0.0);
     }
 
