@@ -5,66 +5,78 @@ use crate::geometry::Vec2;
 use crate::model::{Block, Model};
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
-use faer::perm::PermRef;
 use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
 };
 use faer::sparse::linalg::{SupernodalThreshold, amd};
-use faer::sparse::{SparseColMat, SymbolicSparseColMat, SymbolicSparseColMatRef};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMat, SymbolicSparseColMatRef};
 use faer::{Col, Conj, Par, Side, Spec};
 
 /// Direct solutions of (H + shift) u = b by a sparse Cholesky factor, which exists where that matrix is positive
 /// definite.
 ///
-/// Rank 0 gathers the matrix, in the order of global ids, factors it on one thread and sends each rank its part of a
-/// solution: the same bits on any number of ranks. In two dimensions the work grows little faster than the number of
-/// points. The analysis of the pattern is kept while it stays the same.
+/// Rank 0 gathers the matrix, factors it on one thread and sends each rank its part of a solution: the same bits on any
+/// number of ranks. In two dimensions the work grows little faster than the number of points. The analysis of the layout
+/// is kept while it stays the same; then a matrix costs little more than to write its blocks where they belong.
 #[derive(Default)]
 pub struct Cholesky {
-    matrix: Option<SparseColMat<usize, f64>>,
-    pattern: Option<SymbolicCholesky<usize>>,
-    /// Values of the factor, empty where there is none.
+    /// Which blocks the ranks send, see [`Rows`].
+    layout: Vec<Vec<u64>>,
+    analysis: Option<Analysis>,
+    /// Entries of the matrix in the places of the analysis, and its diagonal without shift.
+    values: Vec<f64>,
+    diagonal: Vec<f64>,
     factor: Vec<f64>,
-    /// Place of each particle's first point in the order of global ids. Rank 0 only, as the above.
-    first: Vec<usize>,
+    is_factored: bool,
 }
 
 impl Cholesky {
     /// Takes H. Collective.
     pub fn load<M: Model>(&mut self, system: &System<M>, stiffness: &Stiffness) {
-        let rows = system.comm.gather(stiffness.lower_rows(system));
-        if system.comm.is_root() {
-            self.assemble(&rows);
+        let Rows { layout, values } = stiffness.lower_rows(system);
+        let (layout, values) = (system.comm.gather(layout), system.comm.gather(values));
+        self.is_factored = false;
+        if !system.comm.is_root() {
+            return;
         }
+        if self.layout != layout {
+            self.analysis = Analysis::of(&layout);
+            self.layout = layout;
+        }
+        let Some(Analysis { slots, lower, .. }) = &self.analysis else { return };
+        self.values.resize(lower.row_idx().len(), 0.0);
+        for (block, slots) in values.iter().flat_map(|part| part.chunks_exact(4)).zip(slots) {
+            for (&value, &slot) in block.iter().zip(slots) {
+                self.values[slot] = f64::from_bits(value);
+            }
+        }
+        self.diagonal.clear();
+        self.diagonal.extend(lower.col_ptr()[..lower.ncols()].iter().map(|&place| self.values[place]));
     }
 
     /// Factors H + `shift`; false where that is not positive definite. Collective.
     pub fn factorize(&mut self, comm: &Comm, shift: f64) -> bool {
-        let done = comm.is_root() && self.factorize_here(shift);
-        comm.broadcast(vec![done as u8])[0] == 1
+        self.is_factored = comm.is_root() && self.factorize_here(shift);
+        comm.broadcast(vec![self.is_factored as u8])[0] == 1
     }
 
     fn factorize_here(&mut self, shift: f64) -> bool {
-        let (Some(matrix), Some(pattern)) = (&self.matrix, &self.pattern) else { return false };
-        let mut shifted = matrix.clone();
-        let ends: Vec<usize> = shifted.col_ptr()[1..].to_vec();
-        // the diagonal closes each column of the upper triangle
-        ends.iter().for_each(|&end| shifted.val_mut()[end - 1] += shift);
+        let Some(Analysis { lower, pattern, .. }) = &self.analysis else { return false };
+        for (&place, diagonal) in lower.col_ptr().iter().zip(&self.diagonal) {
+            self.values[place] = diagonal + shift;
+        }
         self.factor.resize(pattern.len_val(), 0.0);
         let mut scratch = MemBuffer::new(pattern.factorize_numeric_llt_scratch::<f64>(Par::Seq, Spec::default()));
         let done = pattern.factorize_numeric_llt(
             &mut self.factor,
-            shifted.as_ref(),
-            Side::Upper,
+            SparseColMatRef::new(lower.as_ref(), &self.values),
+            Side::Lower,
             LltRegularization::default(),
             Par::Seq,
             MemStack::new(&mut scratch),
             Spec::default(),
         );
-        if done.is_err() {
-            self.factor.clear();
-        }
-        !self.factor.is_empty()
+        done.is_ok()
     }
 
     /// u for the own points, given b there. Collective; call [`Cholesky::factorize`] first.
@@ -74,80 +86,126 @@ impl Cholesky {
         let named = |(&name, v): (&u64, &Vec2)| [name, v[0].to_bits(), v[1].to_bits()];
         let gathered = comm.gather(name.iter().zip(b).flat_map(named).collect::<Vec<u64>>());
         let mut parts = vec![Vec::new(); comm.size()];
-        if let (Some(pattern), false) = (&self.pattern, self.factor.is_empty()) {
-            let factor = LltRef::new(pattern, &self.factor);
+        if let (Some(analysis), true) = (&self.analysis, self.is_factored) {
+            let factor = LltRef::new(&analysis.pattern, &self.factor);
             let mut x = Col::<f64>::zeros(gathered.iter().map(|part| part.len() / 3 * 2).sum());
             for named in gathered.iter().flat_map(|part| part.chunks_exact(3)) {
-                let place = place(&self.first, named[0]);
+                let place = analysis.place(named[0]);
                 [0, 1].into_iter().for_each(|k| x[2 * place + k] = f64::from_bits(named[1 + k]));
             }
-            let mut scratch = MemBuffer::new(pattern.solve_in_place_scratch::<f64>(1, Par::Seq));
+            let mut scratch = MemBuffer::new(analysis.pattern.solve_in_place_scratch::<f64>(1, Par::Seq));
             factor.solve_in_place_with_conj(Conj::No, x.as_mat_mut(), Par::Seq, MemStack::new(&mut scratch));
             for (named, part) in gathered.iter().zip(&mut parts) {
-                let places = named.chunks_exact(3).map(|named| place(&self.first, named[0]));
+                let places = named.chunks_exact(3).map(|named| analysis.place(named[0]));
                 part.extend(places.flat_map(|place| [0, 1].map(|k| x[2 * place + k].to_bits())));
             }
         }
         let mine = comm.all_to_all(parts).swap_remove(0);
         mine.chunks_exact(2).map(|v| [f64::from_bits(v[0]), f64::from_bits(v[1])]).collect()
     }
+}
 
-    /// The upper triangle by columns, from rows of the lower one in any order.
-    fn assemble(&mut self, rows_of_ranks: &[Vec<u64>]) {
+/// Where everything stands, for one layout of the matrix.
+struct Analysis {
+    /// Place of each particle's first point in the order of global ids.
+    first: Vec<usize>,
+    /// Places of the points in the order of elimination.
+    places: Vec<usize>,
+    /// Places of the four entries of each block, as they are sent, among the values of the matrix.
+    slots: Vec<[usize; 4]>,
+    /// The lower triangle in the order of elimination, by columns, each of which begins with the diagonal.
+    lower: SymbolicSparseColMat<usize>,
+    /// Of the factor.
+    pattern: SymbolicCholesky<usize>,
+}
+
+impl Analysis {
+    fn of(layout: &[Vec<u64>]) -> Option<Self> {
         let mut rows: Vec<(u64, &[u64])> = Vec::new();
-        for mut words in rows_of_ranks.iter().map(|w| &w[..]) {
+        for mut words in layout.iter().map(|part| &part[..]) {
             while let [name, length, rest @ ..] = words {
-                let (row, others) = rest.split_at(*length as usize);
-                rows.push((*name, row));
+                let (columns, others) = rest.split_at(*length as usize);
+                rows.push((*name, columns));
                 words = others;
             }
         }
-        rows.sort_unstable_by_key(|&(name, _)| name);
+        let mut names: Vec<u64> = rows.iter().map(|&(name, _)| name).collect();
+        names.sort_unstable();
         // names are (id, place in the particle), so that a particle's points stand together
-        let particles = rows.last().map_or(0, |&(name, _)| (name >> 32) as usize + 1);
-        self.first = vec![usize::MAX; particles];
-        for (place, &(name, _)) in rows.iter().enumerate() {
-            let slot = &mut self.first[(name >> 32) as usize];
-            *slot = place.min(*slot);
+        let particles = names.last().map_or(0, |&name| (name >> 32) as usize + 1);
+        let mut first = vec![usize::MAX; particles];
+        for (place, &name) in names.iter().enumerate().rev() {
+            first[(name >> 32) as usize] = place;
         }
+        let by_id = |name: u64| first[(name >> 32) as usize] + name as u32 as usize;
 
-        let n = 2 * rows.len();
-        let (mut start, mut index, mut values) = (vec![0], Vec::new(), Vec::new());
-        for (i, &(_, row)) in rows.iter().enumerate() {
-            for c in 0..2 {
-                for entry in row.chunks_exact(5) {
-                    let j = place(&self.first, entry[0]);
-                    for r in (0..2).filter(|&r| j < i || r <= c) {
-                        index.push(2 * j + r);
-                        values.push(f64::from_bits(entry[1 + 2 * c + r]));
-                    }
-                }
+        let mut listed = vec![Vec::new(); rows.len()];
+        for &(name, columns) in &rows {
+            listed[by_id(name)] = columns.iter().map(|&column| by_id(column)).collect();
+        }
+        let places = order_of_elimination(&listed)?;
+
+        // a block of the points i and j, and whether it is sent as that of j and i
+        let blocks = || {
+            let places = &places;
+            rows.iter().flat_map(move |&(name, columns)| {
+                let i = places[by_id(name)];
+                columns.iter().map(move |&column| {
+                    let j = places[by_id(column)];
+                    (i.max(j), i.min(j), i < j)
+                })
+            })
+        };
+        // both columns of a point list the same others, the first both of its own, the second one
+        let mut listed = vec![Vec::new(); rows.len()];
+        blocks().filter(|&(i, j, _)| i > j).for_each(|(i, j, _)| listed[j].push(i));
+        let (mut start, mut index) = (vec![0], Vec::new());
+        for (j, points) in listed.iter_mut().enumerate() {
+            points.sort_unstable();
+            for own in [&[2 * j, 2 * j + 1][..], &[2 * j + 1]] {
+                index.extend(own);
+                index.extend(points.iter().flat_map(|&i| [2 * i, 2 * i + 1]));
                 start.push(index.len());
             }
         }
-        let same = |m: &SparseColMat<usize, f64>| m.col_ptr() == start && m.row_idx() == index;
-        let is_known = self.matrix.as_ref().is_some_and(same);
-        let matrix = SparseColMat::new(SymbolicSparseColMat::new_checked(n, n, start, None, index), values);
-        if !is_known {
-            self.pattern = analysis(matrix.symbolic());
-        }
-        self.matrix = Some(matrix);
-        self.factor.clear();
+        let slots = blocks().map(|(i, j, is_turned)| {
+            let [left, right] = [start[2 * j], start[2 * j + 1]];
+            if i == j {
+                // symmetric but for rounding: what stands left of the diagonal counts
+                return [left, left + 1, left + 1, right];
+            }
+            let at = 2 * listed[j].partition_point(|&other| other < i);
+            let [left, right] = [left + 2 + at, right + 1 + at];
+            if is_turned { [left, left + 1, right, right + 1] } else { [left, right, left + 1, right + 1] }
+        });
+        let slots = slots.collect();
+        let size = 2 * rows.len();
+        let lower = SymbolicSparseColMat::new_checked(size, size, start, None, index);
+        let how = CholeskySymbolicParams {
+            // the small dense blocks of particles make supernodes
+            supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
+            ..Default::default()
+        };
+        // a pattern that is in order is asked for by its upper triangle
+        let upper = lower.transpose().to_col_major().ok()?;
+        let pattern =
+            factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, SymmetricOrdering::Identity, how).ok()?;
+        Some(Analysis { first, places, slots, lower, pattern })
+    }
+
+    /// Place of a point in the order of elimination.
+    fn place(&self, name: u64) -> usize {
+        self.places[self.first[(name >> 32) as usize] + name as u32 as usize]
     }
 }
 
-/// Place of a point in the order of global ids, from its name and the places of each particle's first point.
-fn place(first: &[usize], name: u64) -> usize {
-    first[(name >> 32) as usize] + name as u32 as usize
-}
-
-/// Order of elimination and pattern of the factor. Both degrees of freedom of a point have the same pattern, so points
-/// are put in order of least degree; the small dense blocks of particles make supernodes.
-fn analysis(matrix: SymbolicSparseColMatRef<'_, usize>) -> Option<SymbolicCholesky<usize>> {
-    let points = matrix.ncols() / 2;
+/// Places of the points in an order of least degree, which makes few new entries, from the columns in each row of the
+/// lower triangle. Both degrees of freedom of a point have the same pattern, so points are put in order and not these.
+fn order_of_elimination(listed: &[Vec<usize>]) -> Option<Vec<usize>> {
+    let points = listed.len();
     let (mut start, mut index) = (vec![0], Vec::new());
-    for point in 0..points {
-        index.extend(matrix.row_idx_of_col(2 * point).filter(|row| row % 2 == 0).map(|row| row / 2));
+    for columns in listed {
+        index.extend(columns);
         start.push(index.len());
     }
     let blocks = SymbolicSparseColMatRef::new_checked(points, points, &start, None, &index);
@@ -155,23 +213,23 @@ fn analysis(matrix: SymbolicSparseColMatRef<'_, usize>) -> Option<SymbolicCholes
     let mut scratch = MemBuffer::new(amd::order_maybe_unsorted_scratch::<usize>(points, index.len()));
     let stack = MemStack::new(&mut scratch);
     amd::order_maybe_unsorted(&mut order, &mut places, blocks, amd::Control::default(), stack).ok()?;
-    let both = |points: &[usize]| points.iter().flat_map(|&p| [2 * p, 2 * p + 1]).collect::<Vec<usize>>();
-    let (order, places) = (both(&order), both(&places));
-    let how = CholeskySymbolicParams {
-        supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
-        ..Default::default()
-    };
-    let order = SymmetricOrdering::Custom(PermRef::new_checked(&order, &places, 2 * points));
-    factorize_symbolic_cholesky(matrix, Side::Upper, order, how).ok()
+    Some(places)
+}
+
+/// The own rows of the lower triangle of H, area term included.
+struct Rows {
+    /// For each row the global name of its point, the number of its blocks and the names of their columns, ascending, the
+    /// row's own last.
+    layout: Vec<u64>,
+    /// The blocks, four words each.
+    values: Vec<u64>,
 }
 
 impl Stiffness {
-    /// The own rows of the lower triangle of H, area term included, in words: the global name of the row's point, the
-    /// number of words that follow for it, then name and block of each column, ascending.
-    fn lower_rows<M: Model>(&self, system: &System<M>) -> Vec<u64> {
+    fn lower_rows<M: Model>(&self, system: &System<M>) -> Rows {
         let particles = system.particles();
         let name = super::names(particles);
-        let mut words = Vec::new();
+        let mut rows = Rows { layout: Vec::new(), values: Vec::new() };
         let mut row: Vec<(u64, Block)> = Vec::new();
         for p in 0..particles.len() {
             let points = particles.bodies.points(p);
@@ -194,14 +252,11 @@ impl Stiffness {
                         row.push((other, std::array::from_fn(|k| area[k] + block[k])));
                     }
                 }
-                words.extend([name[i], 5 * row.len() as u64]);
-                words.extend(
-                    row.iter().flat_map(|(other, b)| {
-                        [*other, b[0].to_bits(), b[1].to_bits(), b[2].to_bits(), b[3].to_bits()]
-                    }),
-                );
+                rows.layout.extend([name[i], row.len() as u64]);
+                rows.layout.extend(row.iter().map(|&(other, _)| other));
+                rows.values.extend(row.iter().flat_map(|(_, block)| block.map(f64::to_bits)));
             }
         }
-        words
+        rows
     }
 }
