@@ -151,6 +151,18 @@ impl Particles {
         }
     }
 
+    /// The owned ones, without vectors that they carry.
+    pub fn own(&self) -> Particles {
+        Particles {
+            id: self.id.clone(),
+            size: self.size[..self.len()].to_vec(),
+            bodies: self.bodies.clone(),
+            position: self.position[..self.owned_points()].to_vec(),
+            carried: Vec::new(),
+            foreign: Vec::new(),
+        }
+    }
+
     pub fn forget_foreign(&mut self) {
         self.position.truncate(self.owned_points());
         self.size.truncate(self.len());

@@ -9,17 +9,18 @@ use super::folder::explain;
 use crate::comm::Comm;
 use crate::particles::{Bodies, Particles};
 use crc32fast::Hasher;
+use std::borrow::Cow;
 use std::fs::{self, File};
 use std::io::{BufReader, BufWriter, Error, ErrorKind, Read, Write};
 use std::path::Path;
 
 /// One thing that is known.
 #[derive(Clone, Debug)]
-pub struct Record {
+pub struct Record<'a> {
     /// Words about it that its writer understands, the same on all ranks.
     pub note: String,
     /// This rank's own particles in a state, with the vectors that they carry.
-    pub particles: Option<Particles>,
+    pub particles: Option<Cow<'a, Particles>>,
 }
 
 /// First bytes of a file; the digit changes with the layout.
@@ -29,7 +30,12 @@ const PIECE: usize = 1 << 14;
 
 /// Writes a file of records beside `path`, brings it to the disk and gives it its name. What had the name before is
 /// kept as `previous`, if that is given. After an error everything is as it was. Collective.
-pub fn write_records(comm: &Comm, path: &Path, records: &[Record], previous: Option<&Path>) -> Result<(), OutputError> {
+pub fn write_records(
+    comm: &Comm,
+    path: &Path,
+    records: &[Record<'_>],
+    previous: Option<&Path>,
+) -> Result<(), OutputError> {
     let part = path.with_extension("part");
     let mut file = comm.is_root().then(|| Writer::create(&part));
     let mut put = |bytes: &[u8]| {
@@ -75,11 +81,11 @@ pub fn write_records(comm: &Comm, path: &Path, records: &[Record], previous: Opt
 }
 
 /// Reads a file of records whose particles are of the kind of `bodies`; each rank gets some of them. Collective.
-pub fn read_records(comm: &Comm, path: &Path, bodies: &Bodies) -> Result<Vec<Record>, OutputError> {
+pub fn read_records(comm: &Comm, path: &Path, bodies: &Bodies) -> Result<Vec<Record<'static>>, OutputError> {
     try_read(comm, path, bodies).map_err(|reason| OutputError::read(path, reason))
 }
 
-fn try_read(comm: &Comm, path: &Path, bodies: &Bodies) -> Result<Vec<Record>, String> {
+fn try_read(comm: &Comm, path: &Path, bodies: &Bodies) -> Result<Vec<Record<'static>>, String> {
     let mut file = None;
     on_root(comm, || {
         file = Some(Reader::open(path).map_err(|e| explain(&e))?);
@@ -116,7 +122,7 @@ fn try_read(comm: &Comm, path: &Path, bodies: &Bodies) -> Result<Vec<Record>, St
             comm.all_to_all(outgoing).iter().for_each(|piece| particles.unpack(piece, true));
             agree(comm, read)?;
         }
-        records.push(Record { note, particles: Some(particles) });
+        records.push(Record { note, particles: Some(Cow::Owned(particles)) });
     }
     Ok(records)
 }
@@ -210,16 +216,16 @@ mod tests {
     use super::*;
     use crate::geometry::Frac;
 
-    fn records() -> Vec<Record> {
+    fn records() -> Vec<Record<'static>> {
         let mut particles = Particles::empty(&Bodies::Polygons { first: vec![0] });
         particles.push(7, 1.5, &[[1, -2], [3, 4], [i64::MIN, i64::MAX]].map(Frac::from_bits));
         particles.push(3, 0.5, &[[5, 6], [7, 8], [9, 10], [11, 12]].map(Frac::from_bits));
         particles.carried = vec![(0..7).map(|k| [0.1 * k as f64, -1.0 / 3.0]).collect(); 2];
-        let state = Record { note: "{\"δ\":1}".to_owned(), particles: Some(particles) };
+        let state = Record { note: "{\"δ\":1}".to_owned(), particles: Some(Cow::Owned(particles)) };
         vec![state, Record { note: "two".to_owned(), particles: None }]
     }
 
-    fn read(path: &Path) -> Result<Vec<Record>, String> {
+    fn read(path: &Path) -> Result<Vec<Record<'static>>, String> {
         read_records(&Comm::alone(), path, &Bodies::Polygons { first: vec![0] }).map_err(|e| e.to_string())
     }
 

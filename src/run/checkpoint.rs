@@ -26,6 +26,7 @@ use crate::scene::Scene;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use signal_hook::consts::{SIGTERM, SIGUSR1, SIGUSR2};
+use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::fs;
@@ -197,9 +198,9 @@ struct List {
     signals: Signals,
     /// How many are on the disk and have been read or written.
     saved: usize,
-    fresh: Vec<Record>,
+    fresh: Vec<Record<'static>>,
     /// Read, and not yet asked for.
-    replayed: VecDeque<Record>,
+    replayed: VecDeque<Record<'static>>,
     /// There may be more to read.
     replays: bool,
     /// A minimisation may have been under way.
@@ -231,9 +232,9 @@ impl List {
                     is_converged: minimized.is_converged(),
                     report: *minimized.report(),
                 };
-                let mut particles = system.own_particles();
-                particles.carried.clear();
-                self.fresh.push(Record { note: json(&outcome), particles: Some(particles) });
+                system.carry(0); // of large systems it is much
+                let particles = Some(Cow::Owned(system.own_particles()));
+                self.fresh.push(Record { note: json(&outcome), particles });
                 memory.clear();
             }
             self.heed(system, &memory)?;
@@ -244,7 +245,7 @@ impl List {
     }
 
     /// The next outcome that is known from before. Collective.
-    fn next(&mut self, comm: &Comm, bodies: &Bodies) -> Result<Option<Record>, Failure> {
+    fn next(&mut self, comm: &Comm, bodies: &Bodies) -> Result<Option<Record<'static>>, Failure> {
         if self.replays && self.replayed.is_empty() {
             let records = read_if_whole(comm, &self.done(), bodies)?;
             self.saved += records.len();
@@ -264,13 +265,13 @@ impl List {
     }
 
     /// Puts the system where a minimisation has brought it before.
-    fn replay<M: Model>(&self, system: &mut System<M>, record: Record) -> Result<Minimized, Failure> {
+    fn replay<M: Model>(&self, system: &mut System<M>, record: Record<'static>) -> Result<Minimized, Failure> {
         let outcome = serde_json::from_str::<Outcome>(&record.note).ok();
         match (outcome, record.particles) {
             (Some(Outcome { edges: there, is_converged, report }), Some(particles))
                 if there == edges(system.pbox()) && holds_all(system, &particles) =>
             {
-                system.restore(*system.pbox(), particles);
+                system.restore(*system.pbox(), particles.into_owned());
                 Ok(if is_converged { Minimized::Converged(report) } else { Minimized::Unconverged(report) })
             }
             _ => Err(Failure::Input(format!(
@@ -297,7 +298,7 @@ impl List {
                 && (at.number, at.edges, &at.program[..]) == (number, edges(system.pbox()), PROGRAM)
                 && holds_all(system, &particles)
             {
-                system.restore(*system.pbox(), particles);
+                system.restore(*system.pbox(), particles.into_owned());
                 return Ok(at.memory);
             }
         }
@@ -307,7 +308,7 @@ impl List {
     /// Writes a checkpoint if it is time or a signal asks for one; an error if a signal asks for the end. `memory` is
     /// that of a minimisation under way. Collective: ranks act together if one of them has reason to.
     fn heed<M: Model>(&mut self, system: &System<M>, memory: &[u64]) -> Result<(), Stop> {
-        let kept: usize = self.fresh.iter().filter_map(|r| r.particles.as_ref()).map(bytes).sum();
+        let kept: usize = self.fresh.iter().filter_map(|r| r.particles.as_deref()).map(bytes).sum();
         let is_due = self.written.elapsed() >= self.interval || kept > MOST_KEPT;
         let here = [is_due | self.signals.asks_for_checkpoint(), self.signals.asks_for_end()].map(u64::from);
         let ranks = system.comm.all_gather(&here);
@@ -346,7 +347,7 @@ impl List {
                 memory: memory.to_vec(),
                 program: PROGRAM.to_owned(),
             };
-            let record = Record { note: json(&at), particles: Some(system.own_particles()) };
+            let record = Record { note: json(&at), particles: Some(Cow::Borrowed(system.particles())) };
             let [running, before] = self.running();
             write_records(comm, &running, &[record], Some(&before))?;
         }
@@ -357,7 +358,7 @@ impl List {
 }
 
 /// The records of a file; none if it does not exist or is damaged, which is worth a warning. Collective.
-fn read_if_whole(comm: &Comm, path: &Path, bodies: &Bodies) -> Result<Vec<Record>, Failure> {
+fn read_if_whole(comm: &Comm, path: &Path, bodies: &Bodies) -> Result<Vec<Record<'static>>, Failure> {
     if comm.from_root(|| Ok::<_, Failure>(vec![path.exists() as u8]))? == [0] {
         return Ok(Vec::new());
     }
