@@ -75,6 +75,16 @@ pub fn map<R: Send>(chunks: &[Chunk], work: impl Fn(&Chunk) -> R + Sync + Send) 
     chunks.par_iter().map(work).collect()
 }
 
+/// The same with arrays that `work` may use again from chunk to chunk: made anew for each, they would leave holes between
+/// what it gives.
+pub fn map_with<S: Default, R: Send>(chunks: &[Chunk], work: impl Fn(&mut S, &Chunk) -> R + Sync + Send) -> Vec<R> {
+    if rayon::current_num_threads() == 1 {
+        let scratch = &mut S::default();
+        return chunks.iter().map(|chunk| work(scratch, chunk)).collect();
+    }
+    chunks.par_iter().map_init(S::default, work).collect()
+}
+
 /// Enough items to be worth handing to another thread.
 const BLOCK: usize = 4096;
 

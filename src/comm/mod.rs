@@ -50,14 +50,14 @@ impl Session {
     }
 }
 
-/// Makes the allocator give every array of a megabyte or more pages of its own, which go back to the system with it. Left
-/// to itself glibc soon puts arrays of up to 32 MB between those of neighbour lists, and a third of the memory of a large
-/// system is holes.
+/// Makes the allocator give every array of a quarter of a megabyte or more pages of its own, which go back to the system
+/// with it: those of points, and of the sorts that lists begin with. Left to itself glibc soon puts arrays of up to 32 MB
+/// between those of neighbour lists, and a third of the memory of a large system is holes.
 fn keep_large_arrays_apart() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: sets a number of the allocator; no other thread runs yet
     unsafe {
-        libc::mallopt(libc::M_MMAP_THRESHOLD, 1 << 20);
+        libc::mallopt(libc::M_MMAP_THRESHOLD, 1 << 18);
     }
 }
 

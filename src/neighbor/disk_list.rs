@@ -35,14 +35,15 @@ impl DiskList {
         let cells = &CellList::new(pbox, region, &particles.position, largest + skin);
         assert!(particles.len() < (u32::MAX as usize) / TAGS, "fewer than 2^30 disks on a rank");
         let sizes = &few_sizes(&particles.size);
-        let part =
-            |chunk: &Chunk| lanes::run(Search { candidates, cells, sizes, skin, disks: chunk.particles.clone() });
+        let part = |scratch: &mut Scratch, chunk: &Chunk| {
+            lanes::run(Search { candidates, cells, sizes, skin, disks: chunk.particles.clone(), scratch })
+        };
         let contact = |a: usize, b: usize| match (sizes.get(a), sizes.get(b)) {
             (Some(a), Some(b)) => 0.5 * (a + b),
             _ => 0.0, // no disk has this tag
         };
         let table = std::array::from_fn(|k| contact(k / TAGS, k % TAGS));
-        DiskList { contacts: (!sizes.is_empty()).then_some(table), parts: threads::map(chunks, part) }
+        DiskList { contacts: (!sizes.is_empty()).then_some(table), parts: threads::map_with(chunks, part) }
     }
 
     /// Distances at which disks touch, by their tags; nothing where there are too many different sizes.
@@ -78,6 +79,15 @@ struct Search<'a> {
     sizes: &'a [f64],
     skin: f64,
     disks: Range<usize>,
+    scratch: &'a mut Scratch,
+}
+
+/// Neighbours of one disk with their global ids; those of all disks of a chunk, one after another, and where each ends.
+#[derive(Default)]
+struct Scratch {
+    found: Vec<u64>,
+    neighbors: Vec<u32>,
+    ends: Vec<usize>,
 }
 
 impl Kernel for Search<'_> {
@@ -85,11 +95,13 @@ impl Kernel for Search<'_> {
 
     #[inline(always)]
     fn run(self, l: impl Lanes) -> Part {
-        let Search { candidates: Candidates { pbox, particles, .. }, cells, sizes, skin, disks } = self;
+        let Search { candidates: Candidates { pbox, particles, .. }, cells, sizes, skin, disks, scratch } = self;
+        let Scratch { found, neighbors, ends } = scratch;
         let (position, size) = (&particles.position[..], &particles.size[..]);
         let [unit_x, tilt, unit_y, half, skin] =
             [pbox.unit()[0], pbox.unit()[1], pbox.unit()[2], 0.5, skin].map(|x| l.splat(x));
-        let (mut found, mut neighbors, mut ends) = (Vec::new(), Vec::new(), Vec::with_capacity(disks.len()));
+        neighbors.clear();
+        ends.clear();
         for i in disks.clone() {
             found.clear();
             let own = [i as u32; LANES];
@@ -117,7 +129,7 @@ impl Kernel for Search<'_> {
             ends.push(neighbors.len());
         }
         let tag = |point: u32| sizes.iter().position(|&s| s == size[point as usize]).unwrap_or(0) as u32;
-        Part::new(disks.start as u32, &neighbors, &ends, |point| tagged(point, tag(point)))
+        Part::new(disks.start as u32, neighbors, ends, |point| tagged(point, tag(point)))
     }
 }
 
