@@ -88,17 +88,20 @@ pub fn run(
 ) -> Result<Vec<Check>, ProtocolError> {
     let mut all = Vec::new();
     for group in GROUPS {
-        let checks = match group(world, effort) {
-            Err(ProtocolError::Unconverged { density, report }) => {
-                let name = format!("density {density:.4}: relaxed in {} iterations", report.iterations);
-                vec![Check::new(name, 1.0, 0.0, 0.0)]
-            }
-            checks => checks?,
-        };
+        let checks = or_unrelaxed(group(world, effort))?;
         checks.iter().for_each(&mut show);
         all.extend(checks);
     }
     Ok(all)
+}
+
+/// The checks of a group, or one that fails for a state that did not come to force balance.
+fn or_unrelaxed(checks: Result<Vec<Check>, ProtocolError>) -> Result<Vec<Check>, ProtocolError> {
+    if let Err(ProtocolError::Unconverged { density, report }) = checks {
+        let name = format!("density {density:.4}: relaxed in {} iterations", report.iterations);
+        return Ok(vec![Check::new(name, 1.0, 0.0, 0.0)]);
+    }
+    checks
 }
 
 /// π/(4√3 − 2π) = 4.8706, p²/4πa of the void between three equal arcs that touch: a Plateau border.
@@ -122,6 +125,7 @@ fn mean<M: Model, const K: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::minimize::Report;
 
     #[test]
     fn what_passes() {
@@ -129,6 +133,15 @@ mod tests {
         assert!(!Check::new("", 2.0, 2.002, 0.9e-3).passes());
         assert!(!Check::new("", -2.0, 2.0, 0.1).passes());
         assert!(!Check::new("", 2.0, f64::NAN, 1e9).passes());
+    }
+
+    #[test]
+    fn a_state_that_does_not_relax_is_a_check_that_fails() {
+        let report = Report { iterations: 7, ..Report::default() };
+        let checks = or_unrelaxed(Err(ProtocolError::Unconverged { density: 0.85, report })).unwrap();
+        let [check] = &checks[..] else { panic!("{checks:?}") };
+        assert!(!check.passes() && check.name.contains("0.8500") && check.name.contains("7 iterations"), "{check:?}");
+        assert!(or_unrelaxed(Err(EngineError::Interrupted.into())).is_err());
     }
 
     #[test]
