@@ -68,6 +68,7 @@ impl Minimizer for Newton {
             unit,
             stiffest: 0.0,
             is_gentle: false,
+            bends: false,
             cholesky: Cholesky::default(),
             report: Report::default(),
         };
@@ -93,9 +94,10 @@ struct Search<'a> {
     unit: f64,
     /// Bound on the stiffest mode where contacts are softest.
     stiffest: f64,
-    /// Whether contacts began softer than [`SOFTEST`], as near the onset: Newton steps bend then. Elsewhere straight ones
-    /// come sooner to the minimum.
+    /// Whether contacts began softer than [`SOFTEST`], as near the onset.
     is_gentle: bool,
+    /// Whether Newton steps bend. Straight ones come sooner to the minimum, or not at all.
+    bends: bool,
     cholesky: Cholesky,
     report: Report,
 }
@@ -262,6 +264,7 @@ impl Search<'_> {
     /// Down to a minimum from wherever the system is; false when the iterations do not suffice.
     fn settle<M: Model>(&mut self, system: &mut System<M>, tolerance: f64) -> Result<bool, EngineError> {
         let mut rough = ROUGH * self.unit;
+        self.bends = false;
         loop {
             let goal = self.goal_of(rough.max(tolerance), u64::MAX);
             let is_rough = self.rest(system, &goal)?;
@@ -276,13 +279,14 @@ impl Search<'_> {
             if is_near && self.newton(system, tolerance, 1.0)? {
                 return Ok(true);
             }
+            self.bends = self.is_gentle && is_near && !self.bends;
             if is_rough {
                 rough *= 0.1;
             }
         }
     }
 
-    /// Newton steps, taken back when they do not go well.
+    /// Newton steps, taken back when they do not go well; near the onset then tried again on ways that bend.
     fn attempt<M: Model>(
         &mut self,
         system: &mut System<M>,
@@ -290,11 +294,17 @@ impl Search<'_> {
         prestress: f64,
     ) -> Result<bool, EngineError> {
         let (pbox, before) = (*system.pbox(), system.own_particles());
-        let is_reached = self.newton(system, tolerance, prestress)?;
-        if !is_reached {
-            system.restore(pbox, before);
+        for bends in [false, true] {
+            if bends && !self.is_gentle {
+                break;
+            }
+            self.bends = bends;
+            if self.newton(system, tolerance, prestress)? {
+                return Ok(true);
+            }
+            system.restore(pbox, before.clone());
         }
-        Ok(is_reached)
+        Ok(false)
     }
 
     /// Largest force at the present positions.
