@@ -312,11 +312,12 @@ impl<M: Model> System<M> {
     /// A second system in the same state, of the own particles that `is_wanted` wants. Collective.
     pub fn with_some(&self, is_wanted: impl Fn(usize) -> bool + Send + Sync) -> Result<System<M>, EngineError> {
         let mut wanted = self.own_particles();
+        wanted.carried.clear();
         wanted.reorder(&threads::choose(self.particles.len(), is_wanted));
         System::new(self.comm.duplicate(), self.model, self.pbox, &self.pbox, wanted, self.skin)
     }
 
-    /// Copy of this rank's own particles, without vectors that they carry.
+    /// Copy of this rank's own particles.
     pub fn own_particles(&self) -> Particles {
         self.particles.own()
     }

@@ -151,14 +151,14 @@ impl Particles {
         }
     }
 
-    /// The owned ones, without vectors that they carry.
+    /// Copy of the owned ones.
     pub fn own(&self) -> Particles {
         Particles {
             id: self.id.clone(),
             size: self.size[..self.len()].to_vec(),
             bodies: self.bodies.clone(),
             position: self.position[..self.owned_points()].to_vec(),
-            carried: Vec::new(),
+            carried: self.carried.clone(),
             foreign: Vec::new(),
         }
     }
