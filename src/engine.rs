@@ -319,7 +319,9 @@ impl<M: Model> System<M> {
 
     /// Copy of this rank's own particles.
     pub fn own_particles(&self) -> Particles {
-        self.particles.own()
+        let mut own = self.particles.clone();
+        own.forget_foreign();
+        own
     }
 
     /// Forces on this rank's own points with rigid motions made lighter, as of the last evaluation.

@@ -151,18 +151,6 @@ impl Particles {
         }
     }
 
-    /// Copy of the owned ones.
-    pub fn own(&self) -> Particles {
-        Particles {
-            id: self.id.clone(),
-            size: self.size[..self.len()].to_vec(),
-            bodies: self.bodies.clone(),
-            position: self.position[..self.owned_points()].to_vec(),
-            carried: self.carried.clone(),
-            foreign: Vec::new(),
-        }
-    }
-
     pub fn forget_foreign(&mut self) {
         self.position.truncate(self.owned_points());
         self.size.truncate(self.len());

@@ -232,7 +232,8 @@ impl List {
                     is_converged: minimized.is_converged(),
                     report: *minimized.report(),
                 };
-                system.carry(0); // of large systems it is much
+                // directions and velocities have served, and are more than the particles themselves
+                system.carry(0);
                 let particles = Some(Cow::Owned(system.own_particles()));
                 self.fresh.push(Record { note: json(&outcome), particles });
                 memory.clear();
@@ -265,7 +266,7 @@ impl List {
     }
 
     /// Puts the system where a minimisation has brought it before.
-    fn replay<M: Model>(&self, system: &mut System<M>, record: Record<'static>) -> Result<Minimized, Failure> {
+    fn replay<M: Model>(&self, system: &mut System<M>, record: Record<'_>) -> Result<Minimized, Failure> {
         let outcome = serde_json::from_str::<Outcome>(&record.note).ok();
         match (outcome, record.particles) {
             (Some(Outcome { edges: there, is_converged, report }), Some(particles))

@@ -137,13 +137,13 @@ impl Analysis {
         for (place, &name) in names.iter().enumerate().rev() {
             first[(name >> 32) as usize] = place;
         }
-        let by_id = |name: u64| first[(name >> 32) as usize] + name as u32 as usize;
+        let by_id = |name: u64| by_id(&first, name);
 
-        let mut listed = vec![Vec::new(); rows.len()];
+        let mut rows_by_id = vec![Vec::new(); rows.len()];
         for &(name, columns) in &rows {
-            listed[by_id(name)] = columns.iter().map(|&column| by_id(column)).collect();
+            rows_by_id[by_id(name)] = columns.iter().map(|&column| by_id(column)).collect();
         }
-        let places = order_of_elimination(&listed)?;
+        let places = order_of_elimination(&rows_by_id)?;
 
         // a block of the points i and j, and whether it is sent as that of j and i
         let blocks = || {
@@ -195,16 +195,21 @@ impl Analysis {
 
     /// Place of a point in the order of elimination.
     fn place(&self, name: u64) -> usize {
-        self.places[self.first[(name >> 32) as usize] + name as u32 as usize]
+        self.places[by_id(&self.first, name)]
     }
+}
+
+/// Place of a point in the order of global ids, from its name and the places of each particle's first point.
+fn by_id(first: &[usize], name: u64) -> usize {
+    first[(name >> 32) as usize] + name as u32 as usize
 }
 
 /// Places of the points in an order of least degree, which makes few new entries, from the columns in each row of the
 /// lower triangle. Both degrees of freedom of a point have the same pattern, so points are put in order and not these.
-fn order_of_elimination(listed: &[Vec<usize>]) -> Option<Vec<usize>> {
-    let points = listed.len();
+fn order_of_elimination(rows: &[Vec<usize>]) -> Option<Vec<usize>> {
+    let points = rows.len();
     let (mut start, mut index) = (vec![0], Vec::new());
-    for columns in listed {
+    for columns in rows {
         index.extend(columns);
         start.push(index.len());
     }

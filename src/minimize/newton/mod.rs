@@ -68,7 +68,6 @@ impl Minimizer for Newton {
             unit,
             stiffest: 0.0,
             is_gentle: false,
-            bends: false,
             cholesky: Cholesky::default(),
             report: Report::default(),
         };
@@ -96,8 +95,6 @@ struct Search<'a> {
     stiffest: f64,
     /// Whether contacts began softer than [`SOFTEST`], as near the onset.
     is_gentle: bool,
-    /// Whether Newton steps bend. Straight ones come sooner to the minimum, or not at all.
-    bends: bool,
     cholesky: Cholesky,
     report: Report,
 }
@@ -264,7 +261,7 @@ impl Search<'_> {
     /// Down to a minimum from wherever the system is; false when the iterations do not suffice.
     fn settle<M: Model>(&mut self, system: &mut System<M>, tolerance: f64) -> Result<bool, EngineError> {
         let mut rough = ROUGH * self.unit;
-        self.bends = false;
+        let mut bends = false;
         loop {
             let goal = self.goal_of(rough.max(tolerance), u64::MAX);
             let is_rough = self.rest(system, &goal)?;
@@ -276,10 +273,10 @@ impl Search<'_> {
             }
             // disks that do not press on each other yet are still on their way to other contacts
             let is_near = M::BODIES || self.report.max_force <= PRESSED * self.push(system)?;
-            if is_near && self.newton(system, tolerance, 1.0)? {
+            if is_near && self.newton(system, tolerance, 1.0, bends)? {
                 return Ok(true);
             }
-            self.bends = self.is_gentle && is_near && !self.bends;
+            bends = self.is_gentle && is_near && !bends;
             if is_rough {
                 rough *= 0.1;
             }
@@ -294,12 +291,9 @@ impl Search<'_> {
         prestress: f64,
     ) -> Result<bool, EngineError> {
         let (pbox, before) = (*system.pbox(), system.own_particles());
-        for bends in [false, true] {
-            if bends && !self.is_gentle {
-                break;
-            }
-            self.bends = bends;
-            if self.newton(system, tolerance, prestress)? {
+        let ways: &[bool] = if self.is_gentle { &[false, true] } else { &[false] };
+        for &bends in ways {
+            if self.newton(system, tolerance, prestress, bends)? {
                 return Ok(true);
             }
             system.restore(pbox, before.clone());

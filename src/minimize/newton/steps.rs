@@ -44,12 +44,14 @@ const TRIALS: u32 = 12;
 /// straight steps have led nowhere: they come to the minimum in half the time where they do.
 impl Search<'_> {
     /// Newton steps until no force is above `tolerance`; false when that does not go well. The first step takes
-    /// `prestress` times the present contact forces for what they contribute to the Hessian.
+    /// `prestress` times the present contact forces for what they contribute to the Hessian. Steps that bend come later to the
+    /// minimum than straight ones, where those do.
     pub(super) fn newton<M: Model>(
         &mut self,
         system: &mut System<M>,
         tolerance: f64,
         mut prestress: f64,
+        bends: bool,
     ) -> Result<bool, EngineError> {
         let cap = LONGEST * system.model.step_cap();
         let least = SHIFT_LEAST * self.stiffest;
@@ -76,7 +78,7 @@ impl Search<'_> {
             if looks_ahead {
                 step = self.ahead(system, form, step, prestress, &mut shift, cap);
             }
-            let mut way = self.set_out(system, step, shift, cap, tolerance)?;
+            let mut way = self.set_out(system, step, shift, cap, bends.then_some(tolerance))?;
             prestress = 1.0;
             max_force = self.along(system, &mut way, tolerance)?;
             let Way { longest, turn, here, .. } = way;
@@ -146,15 +148,15 @@ impl Search<'_> {
         None
     }
 
-    /// Moves the points along their directions, the longest of which is given, to the first trial of the way, which bends near
-    /// the onset, unless forces are small enough before.
+    /// Moves the points along their directions, the longest of which is given, to the first trial of the way. It bends if
+    /// some force is above `straight_enough` before, where that is given.
     fn set_out<M: Model>(
         &mut self,
         system: &mut System<M>,
         (direction, longest): (Vec<Vec2>, f64),
         shift: f64,
         cap: f64,
-        tolerance: f64,
+        straight_enough: Option<f64>,
     ) -> Result<Way, EngineError> {
         let forces = system.forces();
         let terms = |i: usize| [dot(forces[i], direction[i]), dot(direction[i], direction[i])];
@@ -165,7 +167,7 @@ impl Search<'_> {
         let mut way = Way { here: 0.0, slope, curvature, longest, bent: 0.0, farthest_bend: 0.0, turn: 0.0 };
         way.go(system, (cap / longest).min(1.0));
         let straight = self.forces(system)?;
-        if self.bends && straight > tolerance {
+        if straight_enough.is_some_and(|tolerance| straight > tolerance) {
             self.bend(system, &mut way, shift);
             let nearly_straight = if way.is_curved() { BEND / way.turn } else { 1.0 };
             way.go(system, nearly_straight * way.here);
