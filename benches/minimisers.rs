@@ -33,6 +33,7 @@ fn main() {
     let limit: u64 = word(3, "200000").parse().expect("a number of steps");
     let densities = word(4, "0.86,0.90,0.95,0.98");
 
+    rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global().expect("the first pool");
     let session = Session::start();
     let mut packing = dilute(session.world(), n, stiffness);
     // 10⁻¹² ε, where the forces of contacts are ε/δ times their overlap over δ
