@@ -41,7 +41,7 @@ impl Look for Draw<'_> {
 
     fn look<M: Model>(self, system: &mut System<M>) -> Result<(), Failure> {
         let (sample, columns) = Sample::measure(system, &Report::default(), Rattlers::default())?;
-        drawing::draw(system, &sample, &columns, self.color_by, self.part, self.picture)
+        drawing::draw(system, &sample, &columns, self.color_by, self.part, &[self.picture.to_path_buf()])
     }
 }
 

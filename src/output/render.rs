@@ -26,9 +26,9 @@ pub struct Look<'a> {
     pub values: &'a [f64],
     /// Name of the values along the colour bar.
     pub value_name: &'a str,
-    /// Global ids of particles in contact with an own particle; each pair may come once or from both sides. They are
-    /// not stored in results files: the engine finds them again in an exact state.
-    pub contacts: &'a [[u32; 2]],
+    /// Global ids of the particles that an own particle touches. They are not stored in results files: the engine finds
+    /// them again in an exact state.
+    pub contacts: &'a dyn Fn(usize) -> &'a [u32],
     pub caption: &'a str,
 }
 
@@ -58,10 +58,11 @@ pub fn packing(comm: &Comm, pbox: &PeriodicBox, particles: &Particles, look: &Lo
     // a missing value is drawn grey
     let value = |&p: &usize| look.values.get(p).copied().unwrap_or(f64::NAN).to_bits();
     let values = comm.gather(near.iter().map(value).collect()).concat();
-    let mut ids: Vec<u32> = near.iter().map(|&p| particles.id[p]).collect();
-    ids.sort_unstable();
-    let of_near = look.contacts.iter().filter(|pair| pair.iter().any(|id| ids.binary_search(id).is_ok()));
-    let pairs = comm.gather(of_near.map(|&[a, b]| (a.min(b) as u64) << 32 | a.max(b) as u64).collect());
+    let pairs_of = |&p: &usize| {
+        let id = particles.id[p];
+        (look.contacts)(p).iter().map(move |&other| (id.min(other) as u64) << 32 | id.max(other) as u64)
+    };
+    let pairs = comm.gather(near.iter().flat_map(pairs_of).collect());
     if !comm.is_root() {
         return None;
     }
@@ -97,16 +98,9 @@ pub fn packing(comm: &Comm, pbox: &PeriodicBox, particles: &Particles, look: &Lo
     })
 }
 
-/// Draws the packing to a file, SVG or PNG by its name. Collective.
-pub fn write_packing(
-    comm: &Comm,
-    path: &Path,
-    pbox: &PeriodicBox,
-    particles: &Particles,
-    look: &Look,
-) -> Result<(), OutputError> {
-    let drawn = packing(comm, pbox, particles, look);
-    let written = drawn.map_or(Ok(()), |packing| save(path, || packing.to_svg(), || packing.to_png(WIDTH_PX)));
+/// Draws a packing that rank 0 has to a file, SVG or PNG by its name. Collective.
+pub fn write_packing(comm: &Comm, path: &Path, packing: Option<&Packing>) -> Result<(), OutputError> {
+    let written = packing.map_or(Ok(()), |packing| save(path, || packing.to_svg(), || packing.to_png(WIDTH_PX)));
     agree(comm, written).map_err(|reason| OutputError::write(path, reason))
 }
 
@@ -192,14 +186,15 @@ mod tests {
         (PeriodicBox::square(4.0), disks)
     }
 
-    fn look(contacts: &[[u32; 2]]) -> Look<'_> {
+    fn look<'a>(contacts: &'a dyn Fn(usize) -> &'a [u32]) -> Look<'a> {
         Look { part: None, delta: 0.0, values: &[2.0, 1.0], value_name: "z", contacts, caption: "two disks" }
     }
 
     #[test]
     fn particles_are_drawn_in_the_order_of_ids_and_contacts_across_the_boundary() {
         let (pbox, disks) = two_disks();
-        let drawn = packing(&Comm::alone(), &pbox, &disks, &look(&[[1, 0], [0, 1], [0, 9]])).unwrap();
+        let touching = |p: usize| [&[0, 9][..], &[1]][p];
+        let drawn = packing(&Comm::alone(), &pbox, &disks, &look(&touching)).unwrap();
         assert_eq!(drawn.values, [1.0, 2.0]);
         assert_eq!(drawn.contacts.len(), 1);
         let [[x, _], [far, _]] = drawn.contacts[0];
@@ -212,9 +207,10 @@ mod tests {
         let at = |k: u32| [0.05 * (k % 20) as f64 + 0.01, 0.05 * (k / 20) as f64 + 0.01];
         (0..400).rev().for_each(|k| disks.push(k, 0.5, &[Frac::from_fractions(at(k))]));
         let pbox = PeriodicBox::new(10.0, 10.0, 3.0);
-        let pairs: Vec<[u32; 2]> = (0..399).map(|k| [k, k + 1]).collect();
+        let touching: Vec<[u32; 2]> = (0..400).rev().map(|k| [(k + 399) % 400, (k + 1) % 400]).collect();
+        let touching = |p: usize| &touching[p][..];
         let values: Vec<f64> = (0..400).rev().map(|k| (k % 20 / 10) as f64).collect();
-        let whole = Look { part: Some(1.0), values: &values, ..look(&pairs) };
+        let whole = Look { part: Some(1.0), values: &values, ..look(&touching) };
         let part = Look { part: Some(0.3), ..whole };
         let [whole, part] = [whole, part].map(|look| packing(&Comm::alone(), &pbox, &disks, &look).unwrap());
         assert_eq!(whole.outlines.len(), 400);
@@ -230,7 +226,8 @@ mod tests {
         let (pbox, disks) = two_disks();
         let home = tempfile::tempdir().unwrap();
         let path = |name: &str| home.path().join(name);
-        let draw = |name: &str| write_packing(&Comm::alone(), &path(name), &pbox, &disks, &look(&[[0, 1]]));
+        let drawn = packing(&Comm::alone(), &pbox, &disks, &look(&|_| &[]));
+        let draw = |name: &str| write_packing(&Comm::alone(), &path(name), drawn.as_ref());
         draw("a.svg").unwrap();
         draw("a.png").unwrap();
         assert!(std::fs::read(path("a.png")).unwrap().starts_with(b"\x89PNG"));

@@ -4,22 +4,25 @@ use crate::engine::System;
 use crate::failure::Failure;
 use crate::model::Model;
 use crate::observe::{Contacts, PerParticle, Rattlers, Sample};
-use crate::output::render::{Look, packing, write_packing};
+use crate::output::picture::Packing;
+use crate::output::render::{self, Look, write_packing};
 use crate::scene::ColorBy;
-use std::path::Path;
+use std::borrow::Cow;
+use std::path::PathBuf;
 
-/// Draws a measured system, or a part of its box, to a file, SVG or PNG by its name. Collective.
+/// Draws a measured system, or a part of its box, to files, SVG or PNG by their names. Lists are let go of: a picture takes
+/// as much memory as those of some hundred thousand particles. Collective.
 pub fn draw<M: Model>(
     system: &mut System<M>,
     sample: &Sample,
     columns: &PerParticle,
     color_by: ColorBy,
     part: Option<f64>,
-    path: &Path,
+    paths: &[PathBuf],
 ) -> Result<(), Failure> {
-    with_look(system, sample, columns, color_by, part, |system, look| {
-        Ok(write_packing(&system.comm, path, system.pbox(), system.particles(), look)?)
-    })
+    let packing = packing(system, sample, columns, color_by, part)?;
+    system.lay_bare();
+    paths.iter().try_for_each(|path| Ok(write_packing(&system.comm, path, packing.as_ref())?))
 }
 
 /// A measured system as an SVG document, on rank 0; nothing on the other ranks. Collective.
@@ -29,29 +32,23 @@ pub fn svg<M: Model>(
     columns: &PerParticle,
     color_by: ColorBy,
 ) -> Result<Option<String>, Failure> {
-    with_look(system, sample, columns, color_by, None, |system, look| {
-        Ok(packing(&system.comm, system.pbox(), system.particles(), look).map(|packing| packing.to_svg()))
-    })
+    Ok(packing(system, sample, columns, color_by, None)?.map(|packing| packing.to_svg()))
 }
 
-/// What a picture shows beside the particles.
-fn with_look<M: Model, R>(
+/// What a picture shows, on rank 0.
+fn packing<M: Model>(
     system: &mut System<M>,
     sample: &Sample,
     columns: &PerParticle,
     color_by: ColorBy,
     part: Option<f64>,
-    act: impl FnOnce(&System<M>, &Look) -> Result<R, Failure>,
-) -> Result<R, Failure> {
+) -> Result<Option<Packing>, Failure> {
     let touching = Contacts::of(system, Rattlers::default())?.touching;
-    let ids = &system.particles().id;
-    let pairs: Vec<[u32; 2]> =
-        ids.iter().zip(touching.iter()).flat_map(|(&id, row)| row.iter().map(move |&other| [id, other])).collect();
-    drop(touching);
-    let (values, value_name): (Vec<f64>, &str) = match color_by {
+    let contacts = |p: usize| touching.row(p);
+    let (values, value_name): (Cow<[f64]>, &str) = match color_by {
         ColorBy::Z => (columns.contacts.iter().map(|&n| n as f64).collect(), "contacts z"),
-        ColorBy::ShapeParameter => (columns.shape_parameter.clone(), "shape parameter"),
-        ColorBy::Pressure => (columns.pressure.clone(), "pressure"),
+        ColorBy::ShapeParameter => (Cow::from(&columns.shape_parameter), "shape parameter"),
+        ColorBy::Pressure => (Cow::from(&columns.pressure), "pressure"),
     };
     let caption = format!(
         "N = {}, packing fraction {:.4}, z = {:.3}, pressure {:.4e}",
@@ -62,6 +59,6 @@ fn with_look<M: Model, R>(
     );
     // particles of no size of their own still meet at the width of their circulo-lines: delta, or 0 for disks
     let delta = system.model.range(0.0);
-    let look = Look { part, delta, values: &values, value_name, contacts: &pairs, caption: &caption };
-    act(system, &look)
+    let look = Look { part, delta, values: &values, value_name, contacts: &contacts, caption: &caption };
+    Ok(render::packing(&system.comm, system.pbox(), system.particles(), &look))
 }

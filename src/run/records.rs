@@ -60,9 +60,8 @@ impl Records {
         // after a failure the system is not in the state of a sample
         if scene.output.picture && failure.is_none() {
             let (sample, columns) = Sample::measure(system, &Default::default(), Rattlers::default())?;
-            for name in PICTURES {
-                drawing::draw(system, &sample, &columns, scene.output.color_by, None, &folder.file(name))?;
-            }
+            let pictures = PICTURES.map(|name| folder.file(name));
+            drawing::draw(system, &sample, &columns, scene.output.color_by, None, &pictures)?;
             written.extend(PICTURES);
         }
         if !self.samples.is_empty() {

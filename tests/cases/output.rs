@@ -2,7 +2,7 @@
 
 use jamhpc::comm::Comm;
 use jamhpc::geometry::{Frac, PeriodicBox};
-use jamhpc::output::render::{Look, write_packing};
+use jamhpc::output::render::{Look, packing, write_packing};
 use jamhpc::output::{Frame, Header, OutputError, Results, ResultsFile};
 use jamhpc::particles::{Bodies, Column, Particles};
 use std::path::Path;
@@ -80,7 +80,8 @@ pub fn check(comm: &Comm, path: &Path, polygons: bool, frames: u32) {
 pub fn draw(comm: &Comm, path: &Path, polygons: bool) -> Result<(), OutputError> {
     let particles = share(comm, polygons, 0);
     let values: Vec<f64> = particles.id.iter().map(|&id| id as f64).collect();
-    let contacts: Vec<[u32; 2]> = particles.id.iter().map(|&id| [id, (id + 1) % COUNT]).collect();
+    let touching: Vec<[u32; 1]> = particles.id.iter().map(|&id| [(id + 1) % COUNT]).collect();
+    let contacts = |p: usize| &touching[p][..];
     let look = Look { part: None, delta: 0.1, values: &values, value_name: "id", contacts: &contacts, caption: "noise" };
-    write_packing(comm, path, &PeriodicBox::new(9.0, 8.0, 0.25), &particles, &look)
+    write_packing(comm, path, packing(comm, &PeriodicBox::new(9.0, 8.0, 0.25), &particles, &look).as_ref())
 }
