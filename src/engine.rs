@@ -252,7 +252,8 @@ impl<M: Model> System<M> {
     /// Reserves `n` vectors per point that travel with their particle, all zero.
     pub fn carry(&mut self, n: usize) {
         let points = self.particles.owned_points();
-        self.particles.carried = vec![vec![[0.0; 2]; points]; n];
+        self.particles.carried = Vec::new(); // before there are others
+        self.particles.carried = (0..n).map(|_| vec![[0.0; 2]; points]).collect();
     }
 
     /// Gives each own point the vectors that travel with it, in place of all others.
