@@ -106,6 +106,39 @@ fn a_killed_study_goes_on_to_the_same_bits_on_any_ranks() {
     assert!(disturbed.results() == whole);
 }
 
+/// One packing of some seconds, with a checkpoint every 64 iterations.
+const LONG: &str = "[[ensemble]]\nn_particles = [64]\nseeds = 1\n[ensemble.scene]\nmodel = 'sp'\n\
+    checkpoint.interval = 0\nonset.step = 1e-3\ncompression.increments = [1e-3, 1e-2]\n";
+
+#[test]
+fn a_packing_under_way_goes_on_where_it_was() {
+    let calm = Place::new(LONG);
+    calm.study(1);
+
+    let place = Place::new(LONG);
+    let folder = place.path("checkpoints").join("sp-N64-seed1");
+    let outcomes = || {
+        let names = std::fs::read_dir(&folder).into_iter().flatten().flatten();
+        names.filter(|entry| entry.file_name().to_string_lossy().starts_with("done-")).count()
+    };
+    let first = || std::fs::metadata(folder.join("done-000000.records")).unwrap().modified().unwrap();
+    let mut written = None;
+    for (signal, expected) in [("KILL", None), ("TERM", Some(85))] {
+        let before = outcomes();
+        let mut child = place.start();
+        while outcomes() < before + 4 {
+            assert!(child.try_wait().unwrap().is_none(), "it ended before it was killed");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(Command::new("kill").args([format!("-{signal}"), child.id().to_string()]).status().unwrap().success());
+        assert_eq!(child.wait().unwrap().code(), expected, "{signal}");
+        assert_eq!(*written.get_or_insert_with(first), first(), "the first outcome was computed again");
+    }
+    place.study(2);
+    assert!(place.results() == calm.results(), "interruptions make other bits");
+    assert!(!place.path("checkpoints").exists());
+}
+
 #[test]
 fn another_study_does_not_mix_with_it() {
     let place = Place::new(

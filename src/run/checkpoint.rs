@@ -31,8 +31,8 @@ use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 /// Outcomes that a rank keeps in memory, in bytes, before they are written whatever the time.
@@ -72,14 +72,10 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
     /// where something could be resumed. Collective.
     pub fn new(comm: &Comm, inner: &'a Inner, scene: &Scene, resume: bool) -> Result<Self, Failure> {
         let folder = Path::new(&scene.output.directory).join("checkpoint");
-        let place = folder.join(SCENE);
-        let stored = comm.from_root(|| match fs::read(&place) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
-            outcome => outcome.map_err(|e| Failure::Input(format!("cannot read {}: {e}", place.display()))),
-        })?;
+        let stored = stored_scene(comm, &folder)?;
         match (resume, stored.is_empty()) {
             (false, true) => {}
-            (true, false) => check_scene(&String::from_utf8_lossy(&stored), &place, scene)?,
+            (true, false) => check_scene(&stored, &folder.join(SCENE), scene)?,
             (true, true) => {
                 let folder = folder.display();
                 return Err(Failure::Input(format!(
@@ -94,6 +90,25 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
                 )));
             }
         }
+        Checkpoints::in_folder(inner, scene, folder, resume)
+    }
+
+    /// Of one of many packings: goes on if the folder holds a checkpoint of this scene by this very program; any other
+    /// is removed. Collective.
+    pub fn of_member(comm: &Comm, inner: &'a Inner, scene: &Scene, folder: PathBuf) -> Result<Self, Failure> {
+        let stored = stored_scene(comm, &folder)?;
+        let resumes = stored == signed(&scene.to_toml());
+        if !stored.is_empty() && !resumes {
+            tracing::warn!("{} is of another plan or version: begun anew", folder.display());
+            comm.from_root(|| {
+                remove(&folder);
+                Ok::<_, Failure>(Vec::new())
+            })?;
+        }
+        Checkpoints::in_folder(inner, scene, folder, resumes)
+    }
+
+    fn in_folder(inner: &'a Inner, scene: &Scene, folder: PathBuf, resumes: bool) -> Result<Self, Failure> {
         let list = List {
             folder,
             scene: scene.to_toml(),
@@ -102,8 +117,8 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
             saved: 0,
             fresh: Vec::new(),
             replayed: VecDeque::new(),
-            replays: resume,
-            takes_up: resume,
+            replays: resumes,
+            takes_up: resumes,
             written: Instant::now(),
             failure: None,
         };
@@ -141,14 +156,34 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
 
     /// Removes what is on the disk: the run has come to its end. Collective.
     pub fn remove(self, comm: &Comm) {
-        let folder = self.list.into_inner().folder;
-        if comm.is_root() && folder.exists() {
-            // without the scene it is no checkpoint, whatever becomes of the rest
-            if let Err(error) = fs::remove_file(folder.join(SCENE)).and_then(|()| fs::remove_dir_all(&folder)) {
-                tracing::warn!("cannot remove {}: {error}", folder.display());
-            }
+        if comm.is_root() {
+            remove(&self.list.into_inner().folder);
         }
     }
+}
+
+/// Removes the checkpoint in a folder, if there is one. For one rank.
+pub fn remove(folder: &Path) {
+    // without the scene it is no checkpoint, whatever becomes of the rest
+    if folder.exists()
+        && let Err(error) = fs::remove_file(folder.join(SCENE)).and_then(|()| fs::remove_dir_all(folder))
+    {
+        tracing::warn!("cannot remove {}: {error}", folder.display());
+    }
+}
+
+/// The scene of the checkpoint in a folder, after a line on the program; empty if there is none. Collective.
+fn stored_scene(comm: &Comm, folder: &Path) -> Result<String, Failure> {
+    let place = folder.join(SCENE);
+    let stored = comm.from_root(|| match fs::read(&place) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
+        outcome => outcome.map_err(|e| Failure::Input(format!("cannot read {}: {e}", place.display()))),
+    })?;
+    Ok(String::from_utf8_lossy(&stored).into_owned())
+}
+
+fn signed(scene: &str) -> String {
+    format!("{PROGRAM}\n{scene}")
 }
 
 impl<Inner: Minimizer> Minimizer for Checkpoints<'_, Inner> {
@@ -334,7 +369,7 @@ impl List {
         let begin = || -> Result<Vec<u8>, String> {
             if !place.exists() {
                 fs::create_dir_all(&self.folder).map_err(|e| e.to_string())?;
-                write_whole(&place, format!("{PROGRAM}\n{}", self.scene).as_bytes()).map_err(|e| e.to_string())?;
+                write_whole(&place, signed(&self.scene).as_bytes()).map_err(|e| e.to_string())?;
             }
             Ok(Vec::new())
         };
@@ -432,6 +467,7 @@ fn keys(scene: &Scene) -> Vec<(String, String)> {
 }
 
 /// What batch systems ask for.
+#[derive(Clone)]
 struct Signals {
     checkpoint: Arc<AtomicBool>,
     end: Arc<AtomicBool>,
@@ -440,13 +476,17 @@ struct Signals {
 impl Signals {
     /// From now on these signals do not end the process.
     fn listen() -> Result<Self, Failure> {
-        let signals = Signals { checkpoint: Arc::default(), end: Arc::default() };
-        // mpirun passes the second on as it is, and ends its ranks by force soon after the third
-        for (signal, flag) in [(SIGUSR1, &signals.checkpoint), (SIGUSR2, &signals.end), (SIGTERM, &signals.end)] {
-            signal_hook::flag::register(signal, Arc::clone(flag))
-                .map_err(|e| Failure::Other(format!("cannot listen to signals: {e}")))?;
-        }
-        Ok(signals)
+        // once for all packings of a process
+        static SIGNALS: OnceLock<Result<Signals, String>> = OnceLock::new();
+        let signals = SIGNALS.get_or_init(|| {
+            let signals = Signals { checkpoint: Arc::default(), end: Arc::default() };
+            // mpirun passes the second on as it is, and ends its ranks by force soon after the third
+            for (signal, flag) in [(SIGUSR1, &signals.checkpoint), (SIGUSR2, &signals.end), (SIGTERM, &signals.end)] {
+                signal_hook::flag::register(signal, Arc::clone(flag)).map_err(|e| e.to_string())?;
+            }
+            Ok(signals)
+        });
+        signals.clone().map_err(|reason| Failure::Other(format!("cannot listen to signals: {reason}")))
     }
 
     fn asks_for_checkpoint(&self) -> bool {

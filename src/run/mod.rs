@@ -1,6 +1,6 @@
 //! A scene from beginning to end: random start, onset search, compression, shear, and what is kept of it.
 
-mod checkpoint;
+pub mod checkpoint;
 pub mod drawing;
 mod memory;
 pub mod progress;

@@ -2,17 +2,19 @@
 
 use super::plan::{Member, scene_text};
 use crate::comm::Comm;
-use crate::engine::System;
+use crate::engine::{System, Watch};
 use crate::failure::Failure;
 use crate::minimize::Minimizer;
 use crate::model::Model;
 use crate::observe::{Moduli, PerParticle, Sample};
 use crate::protocol::Onset;
+use crate::run::checkpoint::Checkpoints;
 use crate::run::progress::Progress;
 use crate::run::records::scalars;
 use crate::run::{Sink, Task, drawing, protocol, with_system};
 use crate::scene::{ColorBy, Scene};
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// A packing as files hold it: the same bits whatever group of ranks made it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -46,9 +48,10 @@ pub const DRAWN: [f64; 2] = [0.92, 0.97];
 const LARGEST_DRAWN: usize = 256;
 
 impl Record {
-    /// Makes a packing. What belongs to this packing alone, no convergence or no onset, is a failure inside the record;
-    /// an error is something that would befall all of them. Collective.
-    pub fn make(comm: Comm, member: &Member) -> Result<Made, Failure> {
+    /// Makes a packing, or goes on with it if the folder `checkpoint` holds a part of it. What belongs to this packing
+    /// alone, no convergence or no onset, is a failure inside the record; an error is something that would befall all of
+    /// them. Collective.
+    pub fn make(comm: Comm, member: &Member, checkpoint: PathBuf) -> Result<Made, Failure> {
         let scene = member.scene();
         let is_drawn = member.seed == member.group.seeds.start && scene.n_particles <= LARGEST_DRAWN;
         let to_draw = if is_drawn { DRAWN.to_vec() } else { Vec::new() };
@@ -60,7 +63,13 @@ impl Record {
             ..Record::default()
         };
         let mut made = Made { record, to_draw, ..Made::default() };
-        match with_system(comm, &scene, Make { scene: &scene, made: &mut made }) {
+        let mut stopped = None;
+        let task = Make { scene: &scene, checkpoint, made: &mut made, stopped: &mut stopped };
+        let outcome = with_system(comm, &scene, task);
+        if let Some(reason) = stopped {
+            return Err(reason);
+        }
+        match outcome {
             Ok(()) => {}
             Err(Failure::NotConverged(reason) | Failure::Other(reason)) => made.record.failure = Some(reason),
             Err(interrupted @ Failure::Interrupted(_)) => return Err(interrupted),
@@ -95,12 +104,21 @@ mod numbers {
 
 struct Make<'a> {
     scene: &'a Scene,
+    checkpoint: PathBuf,
     made: &'a mut Made,
+    /// Why its checkpoints end it, if they do: a signal, a full disk.
+    stopped: &'a mut Option<Failure>,
 }
 
 impl Task for Make<'_> {
     fn act<M: Model>(self, mut system: System<M>, minimizer: &impl Minimizer) -> Result<(), Failure> {
-        protocol(&mut system, minimizer, |system| Ok(Moduli::of(system)?), self.scene, self.made, &Progress::new(false))
+        let checkpoints = Checkpoints::of_member(&system.comm, minimizer, self.scene, self.checkpoint)?;
+        system.watch = Some(Watch { told: Box::new(|_, _| {}), ends: checkpoints.ends() });
+        let moduli = |system: &mut System<M>| checkpoints.remember(system, Moduli::of);
+        let silent = Progress::new(false);
+        let outcome = protocol(&mut system, &checkpoints, moduli, self.scene, self.made, &silent);
+        *self.stopped = checkpoints.interruption();
+        outcome
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! A packing that is finished is a small file of its own in `members/`, written whole. At the end, and whenever the
 //! study is taken up again, they are gathered into `study.h5` and removed. Whatever moment the study is killed at, every
-//! finished packing is in one of the two.
+//! finished packing is in one of the two. Of one that takes long, `checkpoints/` holds what has been done.
 //!
 //! ```text
 //! /         attributes: study (TOML), version
@@ -24,6 +24,7 @@ use std::path::{Path, PathBuf};
 pub const RESULTS: &str = "study.h5";
 const MEMBERS: &str = "members";
 const PICTURES: &str = "pictures";
+const CHECKPOINTS: &str = "checkpoints";
 const ONSET: [&str; 4] = ["onset_density", "unjammed_density", "onset_pressure", "onset_steps"];
 
 /// Records of a study, those of its plan in the order of the plan.
@@ -34,6 +35,16 @@ pub struct Store {
 
 fn member_file(folder: &Path, id: &str) -> PathBuf {
     folder.join(MEMBERS).join(format!("{id}.json"))
+}
+
+/// The folder of what has been done for a packing that is not finished.
+pub fn checkpoint(folder: &Path, id: &str) -> PathBuf {
+    folder.join(CHECKPOINTS).join(id)
+}
+
+/// Removes the folder of checkpoints once the last of them is gone. For one rank.
+pub fn forget_checkpoints(folder: &Path) {
+    let _ = std::fs::remove_dir(folder.join(CHECKPOINTS));
 }
 
 /// Where the picture of a packing at a density is.
