@@ -158,6 +158,17 @@ impl Packings {
         self.all.iter().filter_map(|p| p.onset.map(|[density, _]| density)).collect()
     }
 
+    /// Mean distance from an onset to the highest density below it that was unjammed.
+    pub fn onset_bracket(&self) -> f64 {
+        mean(self.all.iter().filter_map(|p| p.onset.map(|[density, unjammed]| density - unjammed)))
+    }
+
+    /// Whether the spread of onsets is that of packings: four times the error of an onset anywhere in its bracket, which
+    /// then adds 3 % to it. Else it is that of the search.
+    pub fn resolves_onsets(&self) -> bool {
+        spread(self.onsets().into_iter()) > 4.0 * self.onset_bracket() / 12f64.sqrt()
+    }
+
     /// Values of all packings at all samples.
     pub fn values(&self, of: impl Fn(&Packing, usize) -> f64) -> Vec<Vec<f64>> {
         let n = self.n_samples();

@@ -316,35 +316,38 @@ fn onsets(ensembles: &[Ensemble]) -> Vec<Axes> {
     let mut widths = axes("N", "spread of onsets", [true; 2]);
     for (colour, ensemble) in ensembles.iter().enumerate() {
         let style = Some(Style { colour, marker: Some(4 - colour % 2), dash: 0 });
-        let of = |s: &Packings| {
-            let found = s.onsets();
-            (s.n_particles as f64, mean(found.iter().copied()), spread(found.iter().copied()), found.len() as f64)
+        let n = |s: &Packings| s.n_particles as f64;
+        let center = |s: &Packings| [n(s), mean(s.onsets().into_iter())];
+        let width = |s: &Packings| [n(s), spread(s.onsets().into_iter())];
+        let error = |s: &Packings| match s.resolves_onsets() {
+            true => width(s)[1] / (s.onsets().len() as f64).sqrt(),
+            false => s.onset_bracket() / 12f64.sqrt(),
         };
-        let rows: Vec<_> = ensemble.sizes.iter().map(of).collect();
         means.series.push(Series {
             name: title(ensemble),
-            points: rows.iter().map(|r| [r.0, r.1]).collect(),
-            error: Some(rows.iter().map(|r| r.2 / r.3.sqrt()).collect()),
+            points: ensemble.sizes.iter().map(center).collect(),
+            error: Some(ensemble.sizes.iter().map(error).collect()),
             style,
             ..Series::default()
         });
+        let resolved: Vec<&Packings> = ensemble.sizes.iter().filter(|s| s.resolves_onsets()).collect();
+        let width_error = |s: &&Packings| width(s)[1] / (2.0 * (s.onsets().len() as f64 - 1.0)).sqrt();
         widths.series.push(Series {
             name: title(ensemble),
-            points: rows.iter().map(|r| [r.0, r.2]).collect(),
-            error: Some(rows.iter().map(|r| r.2 / (2.0 * (r.3 - 1.0)).sqrt()).collect()),
+            points: resolved.iter().map(|s| width(s)).collect(),
+            error: Some(resolved.iter().map(width_error).collect()),
             style,
             ..Series::default()
         });
         let found = of_ensemble(ensemble);
         let name = if ensemble.model == Model::Sp { "φ_J" } else { "ρ_J" };
         let fit = format!("{name} = {name}∞ + b N^−0.7");
-        let n = [rows.first().map_or(1.0, |r| r.0), rows.last().map_or(2.0, |r| r.0)];
+        let n = [ensemble.sizes.first().map_or(1.0, n), ensemble.sizes.last().map_or(2.0, n)];
         if let (Some(limit), Some(b)) = (found.get(&format!("{name}∞"), &fit), found.get("b", &fit)) {
             let curve = |x: f64| limit.value + b.value * x.powf(-0.7);
             means.series.push(law(&format!("{}: fit, N^{{−0.7}}", title(ensemble)), n, true, 0, curve));
         }
-        if let (Some(theta), Some(first)) = (found.get("θ", "spread"), rows.first()) {
-            let (n0, s0) = (first.0, first.2);
+        if let (Some(theta), Some([n0, s0])) = (found.get("θ", "spread"), resolved.first().map(|s| width(s))) {
             let curve = |x: f64| s0 * (x / n0).powf(-theta.value);
             widths.series.push(law(&format!("{}: N^{{−{:.2}}}", title(ensemble), theta.value), n, true, 0, curve));
         }

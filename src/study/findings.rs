@@ -211,15 +211,23 @@ fn shapes(out: &mut Findings, packings: &Packings) {
 
 /// What only several sizes together tell.
 pub fn of_ensemble(ensemble: &Ensemble) -> Findings {
-    let name = if ensemble.model == Model::Sp { "φ_J" } else { "ρ_J" };
     let mut out = Findings::new(format!("{}, all sizes", ensemble.name));
+    onsets(&mut out, ensemble);
+    crossover(&mut out, ensemble);
+    out
+}
+
+/// Spread and mean of onsets against size, of the sizes whose onsets are known well enough.
+fn onsets(out: &mut Findings, ensemble: &Ensemble) {
+    let name = if ensemble.model == Model::Sp { "φ_J" } else { "ρ_J" };
     let onsets: Vec<(f64, Vec<f64>)> = ensemble
         .sizes
         .iter()
+        .filter(|s| s.resolves_onsets())
         .map(|s| (s.n_particles as f64, s.onsets()))
         .filter(|(_, onsets)| onsets.len() >= FEWEST)
         .collect();
-    let Some((smallest, _)) = onsets.first() else { return out };
+    let Some((smallest, _)) = onsets.first() else { return };
     let window = format!("{smallest} ≤ N ≤ {}", onsets[onsets.len() - 1].0);
     let counts: Vec<usize> = onsets.iter().map(|(_, values)| values.len()).collect();
     let drawn_of = |drawn: &[Vec<usize>], j: usize| drawn[j].iter().map(|&k| onsets[j].1[k]).collect::<Vec<f64>>();
@@ -260,8 +268,6 @@ pub fn of_ensemble(ensemble: &Ensemble) -> Findings {
     let law = format!("{name} = {name}∞ + b N^−e, exponent freed, {window}");
     out.add(&format!("{name}∞"), &law, free[0], Some(paper::ONSET_LIMIT));
     out.add("e", &law, free[1], None);
-    crossover(&mut out, ensemble);
-    out
 }
 
 /// Where Δz turns from a line into a square root: Δ* = (z_0/a_N)² with Δz = a_N Δ far below, which goes as N^−μ. The
@@ -304,4 +310,38 @@ fn crossover(out: &mut Findings, ensemble: &Ensemble) {
     });
     let law = format!("crossover {name}* ∝ N^−μ from Δz ∝ {name} where {name} N² < {reach}");
     out.add("μ", &law, found[0], Some(paper::CROSSOVER));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::study::data::ensembles;
+    use crate::study::record::Record;
+    use crate::study::store::Store;
+
+    /// Two sizes of a hundred packings, whose onsets spread by 0.01 and 0.005 and are known to a bracket.
+    fn study(bracket: f64) -> Ensemble {
+        let onset = |n: u64, seed: u64| 0.83 + 0.32 / (n as f64).sqrt() * ((seed as f64 + 0.5) / 100.0 - 0.5);
+        let seeds = [32, 128].into_iter().flat_map(|n| (0..100).map(move |seed| (n, seed)));
+        let record = |(n_particles, seed)| {
+            let above = (onset(n_particles, seed) / bracket).ceil() * bracket;
+            Record {
+                ensemble: "sp".into(),
+                n_particles,
+                seed,
+                scene: format!("model = 'sp'\nn_particles = {n_particles}"),
+                onset: Some([above, above - bracket, 1e-6, 1.0]),
+                ..Record::default()
+            }
+        };
+        ensembles(&Store { records: seeds.map(record).collect() }).unwrap().remove(0)
+    }
+
+    #[test]
+    fn onsets_that_a_search_does_not_resolve_are_not_fitted() {
+        let theta = |bracket: f64| of_ensemble(&study(bracket)).get("θ", "spread");
+        assert!((theta(1e-4).unwrap().value - 0.5).abs() < 0.01);
+        assert!((theta(2e-3).unwrap().value - 0.5).abs() < 0.05);
+        assert_eq!(theta(2e-2), None);
+    }
 }

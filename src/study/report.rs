@@ -93,8 +93,12 @@ fn packings_table(ensembles: &[Ensemble]) -> String {
         let mean = crate::statistics::mean(onsets.iter().copied());
         let spread = crate::statistics::spread(onsets.iter().copied());
         let error = spread / (onsets.len() as f64).sqrt();
-        // one packing has no spread
-        let known = |x: f64, text: String| if x.is_finite() { text } else { "–".into() };
+        let [mean, spread] = match onsets.len() {
+            0 => ["–".into(), "–".into()],
+            1 => [format!("{mean:.5}"), "–".into()],
+            _ if s.resolves_onsets() => [format!("{mean:.5} ± {error:.5}"), format!("{spread:.5}")],
+            _ => [format!("{mean:.5}, in brackets of {:.5}", s.onset_bracket()), "–".into()],
+        };
         let reason = s.failures.first().map_or(String::new(), |reason| format!(", such as: {}", escape(reason)));
         let _ = writeln!(
             rows,
@@ -102,8 +106,8 @@ fn packings_table(ensembles: &[Ensemble]) -> String {
             escape(&s.ensemble),
             s.n_particles,
             s.all.len(),
-            known(mean, if error.is_finite() { format!("{mean:.5} ± {error:.5}") } else { format!("{mean:.5}") }),
-            known(spread, format!("{spread:.5}")),
+            mean,
+            spread,
             s.failures.len(),
         );
     }
