@@ -116,7 +116,7 @@ pub struct DpPotential {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
-    /// Contacts about as stiff as areas: 10-20 times fewer iterations than `Paper`.
+    /// Contacts about as stiff as areas: several times fewer force evaluations by FIRE and conjugate gradients.
     Fast,
     /// Contacts stiffer than areas, areas stiffer than line tension, as the paper asks.
     Paper,
@@ -144,7 +144,7 @@ pub struct Initial {
 pub struct Onset {
     /// First increment.
     pub step: f64,
-    /// Bracket width at which the search ends.
+    /// The search gives up when its increment has become smaller than this.
     pub smallest_step: f64,
     /// Window \[lo, hi\] of the pressure at onset; a state above lo is jammed. Unit [`Scene::pressure_unit`].
     pub pressure: [f64; 2],
@@ -420,6 +420,13 @@ impl Scene {
     pub fn to_toml(&self) -> String {
         // Cannot fail for a parsed scene: TOML lacks only integers above i64::MAX, and the ranges exclude them.
         toml::to_string(self).unwrap_or_else(|e| format!("# this scene has no TOML form: {e}\n"))
+    }
+
+    /// As files hold it that do not depend on where a run writes, what it draws and when it saves itself: these have their
+    /// defaults.
+    pub fn of_results(&self) -> Scene {
+        let plain = Scene::parse(DEFAULT, "the built-in scene", &[]).expect("it is tested");
+        Scene { output: plain.output, checkpoint: plain.checkpoint, ..self.clone() }
     }
 
     /// Which of the two models this scene is for.
@@ -918,7 +925,7 @@ fn check_rules(scene: &Scene) -> Result<(), Fault> {
     })?;
     // Else forces that are not balanced yet would pass for jamming.
     let tolerance = scene.minimize.force_tolerance;
-    refuse_if(tolerance >= lo, "minimize.force_tolerance", || {
+    refuse_if(scene.compression.needs_onset() && tolerance >= lo, "minimize.force_tolerance", || {
         let (tolerance, lo) = (show(tolerance), show(lo));
         format!("`minimize.force_tolerance` = {tolerance} must be below the low `onset.pressure` = {lo}: lower it")
     })?;

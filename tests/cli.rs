@@ -287,15 +287,15 @@ fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
 #[test]
 fn any_number_of_ranks_and_threads_writes_the_same_bytes() {
     let place = Place::with("scene.toml", &QUICK_SP.replace("32", "64"));
-    let run = |place: &Place, launch: &dyn Fn(&[&str]) -> Outcome| {
-        let outcome = launch(&["run", "scene.toml", "-o", "out"]).succeeds();
+    let run = |out: &str, launch: &dyn Fn(&[&str]) -> Outcome| {
+        let outcome = launch(&["run", "scene.toml", "-o", out]).succeeds();
         let table: Vec<String> = outcome.stdout.lines().take(6).map(String::from).collect();
-        let files = ["results.h5", "packing.svg", "plot.svg"].map(|name| place.read(&format!("out/{name}")));
+        let files = ["results.h5", "packing.svg", "plot.svg"].map(|name| place.read(&format!("{out}/{name}")));
         (table, files)
     };
-    let alone = run(&place, &|arguments| place.jamhpc(arguments));
-    let two = run(&place, &|arguments| place.ranks(2, arguments));
-    let threads = run(&place, &|arguments| place.jamhpc(&[arguments, &["--threads", "2"]].concat()));
+    let alone = run("one", &|arguments| place.jamhpc(arguments));
+    let two = run("two", &|arguments| place.ranks(2, arguments));
+    let threads = run("threads", &|arguments| place.jamhpc(&[arguments, &["--threads", "2"]].concat()));
     assert!(alone == two && alone == threads);
 }
 

@@ -56,7 +56,7 @@ const MARGIN: u64 = 1 << 20;
 /// What is known before the run begins.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Header {
-    /// The scene with all its defaults, as TOML.
+    /// The scene with all its defaults, as TOML, but for what only concerns the folder of the run.
     pub scene: String,
     pub seed: u64,
     /// Units of length, energy and what else needs one, in words.

@@ -121,7 +121,7 @@ pub fn header(scene: &Scene) -> Header {
         }
     };
     Header {
-        scene: scene.to_toml(),
+        scene: scene.of_results().to_toml(),
         seed: scene.seed,
         units: units.into(),
         contact: contact.into(),

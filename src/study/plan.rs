@@ -140,7 +140,7 @@ impl Ensemble {
             return Err("studies do not shear: remove `scene.shear`".into());
         }
         // where and what a single run would write is no part of a study
-        scene.output = Scene::parse("model = 'sp'", "", &[]).map_err(|e| e.to_string())?.output;
+        scene.output = scene.of_results().output;
         let name = self.name.clone().unwrap_or_else(|| scene.model().name().to_owned());
         let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if name.is_empty() || name.len() > 40 || !name.chars().all(is_plain) {
@@ -188,7 +188,7 @@ fn n_points(scene: &Scene) -> usize {
 
 /// The plan of all packings of a group, as files hold it.
 pub fn scene_text(scene: &Scene) -> String {
-    Scene { seed: 0, ..scene.clone() }.to_toml()
+    Scene { seed: 0, ..scene.of_results() }.to_toml()
 }
 
 /// Groups by ensemble, in the order of their first appearance.
