@@ -43,6 +43,12 @@ impl Failure {
         }
     }
 
+    /// Of whatever kind it is, one that is not due to what the user gave: what [`crate::comm::Comm::from_root`] hands on has
+    /// lost its kind.
+    pub fn into_other(self) -> Self {
+        Failure::Other(self.to_string())
+    }
+
     /// The same failure with a remark after its message.
     pub fn and(self, remark: &str) -> Self {
         match self {

@@ -134,6 +134,19 @@ fn a_packing_under_way_goes_on_where_it_was() {
         assert_eq!(child.wait().unwrap().code(), expected, "{signal}");
         assert_eq!(*written.get_or_insert_with(first), first(), "the first outcome was computed again");
     }
+    // the second rank has nothing to do, and must neither end by the signal nor keep the first from its end
+    let before = outcomes();
+    let mut launched = place.command(2, &["study", "s.toml", "-o", "s"]).spawn().unwrap();
+    while outcomes() < before + 4 {
+        assert!(launched.try_wait().unwrap().is_none(), "it ended before the signal");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(Command::new("pkill").args(["-USR2", "-P", &launched.id().to_string()]).status().unwrap().success());
+    let output = launched.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(85), "{said}");
+    assert!(said.contains("0 of 1 packings") && said.matches("error: ").count() == 1, "{said}");
+
     place.study(2);
     assert!(place.results() == calm.results(), "interruptions make other bits");
     assert!(!place.path("checkpoints").exists());

@@ -90,28 +90,35 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
                 )));
             }
         }
-        Checkpoints::in_folder(inner, scene, folder, resume)
+        Checkpoints::in_folder(comm, inner, scene, folder, resume)
     }
 
     /// Of one of many packings: goes on if the folder holds a checkpoint of this scene by this very program; any other
     /// is removed. Collective.
     pub fn of_member(comm: &Comm, inner: &'a Inner, scene: &Scene, folder: PathBuf) -> Result<Self, Failure> {
         let stored = stored_scene(comm, &folder)?;
-        let resumes = stored == signed(&scene.to_toml());
+        let resumes = stored == signed(&scene.of_results().to_toml());
         if !stored.is_empty() && !resumes {
             tracing::warn!("{} is of another plan or version: begun anew", folder.display());
-            comm.from_root(|| {
-                remove(&folder);
-                Ok::<_, Failure>(Vec::new())
-            })?;
         }
-        Checkpoints::in_folder(inner, scene, folder, resumes)
+        Checkpoints::in_folder(comm, inner, scene, folder, resumes)
     }
 
-    fn in_folder(inner: &'a Inner, scene: &Scene, folder: PathBuf, resumes: bool) -> Result<Self, Failure> {
+    fn in_folder(
+        comm: &Comm,
+        inner: &'a Inner,
+        scene: &Scene,
+        folder: PathBuf,
+        resumes: bool,
+    ) -> Result<Self, Failure> {
+        if !resumes {
+            // outcomes of something else must not be taken for those that are written now
+            comm.from_root(|| clear(&folder).map(|()| Vec::new()).map_err(|e| e.to_string()))
+                .map_err(|reason| Failure::Other(format!("cannot remove {}: {reason}", folder.display())))?;
+        }
         let list = List {
             folder,
-            scene: scene.to_toml(),
+            scene: scene.of_results().to_toml(),
             interval: Duration::from_secs_f64(scene.checkpoint.interval),
             signals: Signals::listen()?,
             saved: 0,
@@ -162,14 +169,21 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
     }
 }
 
-/// Removes the checkpoint in a folder, if there is one. For one rank.
+/// Removes the checkpoint in a folder, if there is one; that this fails is worth a warning only. For one rank.
 pub fn remove(folder: &Path) {
-    // without the scene it is no checkpoint, whatever becomes of the rest
-    if folder.exists()
-        && let Err(error) = fs::remove_file(folder.join(SCENE)).and_then(|()| fs::remove_dir_all(folder))
-    {
+    if let Err(error) = clear(folder) {
         tracing::warn!("cannot remove {}: {error}", folder.display());
     }
+}
+
+fn clear(folder: &Path) -> std::io::Result<()> {
+    let unless_gone = |outcome: std::io::Result<()>| match outcome {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        outcome => outcome,
+    };
+    // without the scene it is no checkpoint, whatever becomes of the rest
+    unless_gone(fs::remove_file(folder.join(SCENE)))?;
+    unless_gone(fs::remove_dir_all(folder))
 }
 
 /// The scene of the checkpoint in a folder, after a line on the program; empty if there is none. Collective.
@@ -219,7 +233,7 @@ impl From<Failure> for Stop {
 
 impl From<OutputError> for Stop {
     fn from(error: OutputError) -> Self {
-        Stop::Failure(Failure::from(error).and("the checkpoint before it is whole, and --resume goes on from there"))
+        Stop::Failure(Failure::from(error).and("the checkpoint before it, if there is one, is whole"))
     }
 }
 
@@ -461,21 +475,20 @@ fn keys(scene: &Scene) -> Vec<(String, String)> {
         }
     }
     let mut rows = Vec::new();
-    collect(scene.to_toml().parse().unwrap_or_default(), "", &mut rows);
-    rows.retain(|(key, _)| !key.starts_with("output.") && !key.starts_with("checkpoint."));
+    collect(scene.of_results().to_toml().parse().unwrap_or_default(), "", &mut rows);
     rows
 }
 
-/// What batch systems ask for.
+/// What batch systems ask for: a checkpoint, or one and the end.
 #[derive(Clone)]
-struct Signals {
+pub struct Signals {
     checkpoint: Arc<AtomicBool>,
     end: Arc<AtomicBool>,
 }
 
 impl Signals {
-    /// From now on these signals do not end the process.
-    fn listen() -> Result<Self, Failure> {
+    /// From the first call on these signals do not end the process.
+    pub fn listen() -> Result<Self, Failure> {
         // once for all packings of a process
         static SIGNALS: OnceLock<Result<Signals, String>> = OnceLock::new();
         let signals = SIGNALS.get_or_init(|| {

@@ -17,13 +17,14 @@ use crate::observe::{Moduli, OnsetBracket, PerParticle, Rattlers, Sample, check_
 use crate::output::Folder;
 use crate::protocol::{Onset, compress_to, find_onset, shear_by};
 use crate::scene::{Contact, Method, Physics, Scene};
-use checkpoint::Checkpoints;
+use checkpoint::{Checkpoints, Signals};
 use progress::Progress;
 use records::Records;
 use std::path::Path;
 
 /// Runs a scene, or goes on with a run of it, and keeps its results in a folder; `speaks` allows progress lines.
 pub fn run(comm: Comm, scene: &Scene, resume: bool, speaks: bool) -> Result<(), Failure> {
+    Signals::listen()?;
     with_system(comm, scene, Keep { scene, resume, speaks })
 }
 

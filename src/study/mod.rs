@@ -20,7 +20,7 @@ use crate::output::Folder;
 use crate::output::folder::write_whole;
 use crate::output::plot::panels;
 use crate::output::render::{write_panels, write_row};
-use crate::run::checkpoint;
+use crate::run::checkpoint::{self, Signals};
 use figures::{NUMBERS, PACKINGS};
 use plan::{Member, Plan};
 use progress::Progress;
@@ -33,6 +33,8 @@ use store::Store;
 /// Makes the packings that are missing in the folder of a study, gathers all of them and answers a summary of what
 /// there is. A signal that asks for the end leaves checkpoints of those that are being made. Collective.
 pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool) -> Result<String, Failure> {
+    // by ranks too that have no packing to make
+    Signals::listen()?;
     // held until the end
     let folder = Folder::prepare(comm, directory).map_err(|e| Failure::Input(e.to_string()))?;
     let claims = folder.file("claims");
@@ -40,8 +42,9 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
     let missing = comm.from_root(|| {
         Claims::reset(&claims)?;
         let done: BTreeSet<String> = store::gather(directory, plan, retry)?.records.iter().map(Record::id).collect();
-        // left by a study that was killed just when a packing was done
-        done.iter().for_each(|id| checkpoint::remove(&store::checkpoint(directory, id)));
+        // others are left by another plan, or by a kill just when a packing was done
+        let wanted = members.iter().map(Member::id).filter(|id| !done.contains(id)).collect();
+        store::keep_checkpoints(directory, &wanted);
         Ok::<_, Failure>(members.iter().map(|m| !done.contains(&m.id()) as u8).collect())
     })?;
     let job = |k: usize| Job { member: k, ranks: members[k].group.ranks, cost: members[k].group.cost() };
@@ -52,56 +55,56 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
     let worked = schedule::work(comm, &jobs, &Claims::in_folder(&claims), &mut |group, job| {
         let member = &members[job.member];
         let started = std::time::Instant::now();
-        let under_way = store::checkpoint(directory, &member.id());
+        let under_way = store::checkpoint_folder(directory, &member.id());
         let made = Record::make(group.duplicate(), member, under_way.clone())?;
         if let Some(reason) = &made.record.failure {
             tracing::warn!(member = member.id(), reason, "failed");
         }
-        group.from_root(|| {
+        let kept = group.from_root(|| {
             store::keep_pictures(directory, &member.group.id(), &made.pictures)?;
             store::keep(directory, &made.record)?;
             checkpoint::remove(&under_way);
             progress::note(directory, member, group.size(), started.elapsed())?;
             Ok::<_, Failure>(Vec::new())
-        })?;
+        });
+        kept.map_err(Failure::into_other)?;
         progress.show();
         Ok(())
     });
     progress.finish();
     // a group that has met an error is waited for by the others, and what all of them made is kept
-    let is_ended = comm.any(matches!(worked, Err(Failure::Interrupted(_))));
     let is_misused = comm.any(matches!(worked, Err(Failure::Input(_))));
-    let failed = comm.any(worked.is_err());
-    let reasons = comm.gather(worked.err().map_or(Vec::new(), |e| e.to_string().bytes().map(u64::from).collect()));
-    let summary = comm.from_root(|| {
+    let is_ended = comm.any(matches!(worked, Err(Failure::Interrupted(_))));
+    let error = worked.err().filter(|error| !matches!(error, Failure::Interrupted(_)));
+    let failed = comm.any(error.is_some());
+    let reasons = comm.gather(error.map_or(Vec::new(), |e| e.to_string().bytes().map(u64::from).collect()));
+    let gathered = comm.from_root(|| {
         let store = store::gather(directory, plan, false)?;
         // claims of finished work say nothing
         let _ = std::fs::remove_dir_all(&claims);
         let of_all = format!("{} of {} packings", store.records.len(), members.len());
-        if is_ended {
-            let place = directory.display();
-            let text = format!(
-                "ended by a signal; {of_all} and all work on others are kept in {place}: the same command goes on"
-            );
-            return Ok(text.into_bytes());
-        }
-        if failed {
+        let text = if failed {
             let bytes = reasons.iter().find(|words| !words.is_empty());
             let bytes: Vec<u8> = bytes.into_iter().flatten().map(|&word| word as u8).collect();
-            return Ok(format!("{}; {of_all} are kept", String::from_utf8_lossy(&bytes)).into_bytes());
-        }
-        store::forget_checkpoints(directory);
-        let mut summary = summary(plan, &store, directory);
-        for path in draw(directory, &NUMBERS, true)? {
-            summary += &format!("{}\n", path.display());
-        }
-        Ok::<_, Failure>(summary.into_bytes())
-    })?;
-    let text = String::from_utf8_lossy(&summary).into_owned();
-    match (is_ended, is_misused, failed) {
-        (true, ..) => Err(Failure::Interrupted(text)),
-        (_, true, _) => Err(Failure::Input(text)),
-        (_, _, true) => Err(Failure::Other(text)),
+            format!("{}; {of_all} are kept", String::from_utf8_lossy(&bytes))
+        } else if is_ended {
+            let place = directory.display();
+            format!("ended by a signal; {of_all} and all work on others are kept in {place}: the same command goes on")
+        } else {
+            store::keep_checkpoints(directory, &BTreeSet::new());
+            let mut summary = summary(plan, &store, directory);
+            for path in draw(directory, &NUMBERS, true)? {
+                summary += &format!("{}\n", path.display());
+            }
+            summary
+        };
+        Ok::<_, Failure>(text.into_bytes())
+    });
+    let text = String::from_utf8_lossy(&gathered.map_err(Failure::into_other)?).into_owned();
+    match (failed, is_misused, is_ended) {
+        (true, true, _) => Err(Failure::Input(text)),
+        (true, ..) => Err(Failure::Other(text)),
+        (.., true) => Err(Failure::Interrupted(text)),
         _ => Ok(text),
     }
 }

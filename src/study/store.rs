@@ -17,6 +17,7 @@ use super::record::Record;
 use crate::failure::Failure;
 use crate::output::folder::{explain, write_whole};
 use crate::output::tables::{Column, Table, read_tables, write_tables};
+use crate::run::checkpoint;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -38,13 +39,20 @@ fn member_file(folder: &Path, id: &str) -> PathBuf {
 }
 
 /// The folder of what has been done for a packing that is not finished.
-pub fn checkpoint(folder: &Path, id: &str) -> PathBuf {
+pub fn checkpoint_folder(folder: &Path, id: &str) -> PathBuf {
     folder.join(CHECKPOINTS).join(id)
 }
 
-/// Removes the folder of checkpoints once the last of them is gone. For one rank.
-pub fn forget_checkpoints(folder: &Path) {
-    let _ = std::fs::remove_dir(folder.join(CHECKPOINTS));
+/// Removes all checkpoints but those of these packings. For one rank.
+pub fn keep_checkpoints(folder: &Path, ids: &BTreeSet<String>) {
+    let all = folder.join(CHECKPOINTS);
+    for entry in std::fs::read_dir(&all).into_iter().flatten().flatten() {
+        if !ids.contains(&*entry.file_name().to_string_lossy()) {
+            checkpoint::remove(&entry.path());
+        }
+    }
+    // only if it is empty
+    let _ = std::fs::remove_dir(all);
 }
 
 /// Where the picture of a packing at a density is.
