@@ -146,6 +146,16 @@ impl Packing {
     pub fn n_samples(&self) -> usize {
         self.n_samples
     }
+
+    /// How far above its onset it was found jammed: as far as the slope of the pressure up to the next sample says, but
+    /// not beyond the density where it was not jammed.
+    fn onset_excess(&self) -> Option<f64> {
+        let [density, unjammed] = self.onset?;
+        let [first, next] = [0, 1].map(|k| [self.named("density", k), self.named("pressure", k)]);
+        let by_pressure = first[1] * (next[0] - first[0]) / (next[1] - first[1]);
+        let bracket = density - unjammed;
+        Some(if by_pressure >= 0.0 { by_pressure.min(bracket) } else { bracket })
+    }
 }
 
 impl Packings {
@@ -158,15 +168,14 @@ impl Packings {
         self.all.iter().filter_map(|p| p.onset.map(|[density, _]| density)).collect()
     }
 
-    /// Mean distance from an onset to the highest density below it that was unjammed.
-    pub fn onset_bracket(&self) -> f64 {
-        mean(self.all.iter().filter_map(|p| p.onset.map(|[density, unjammed]| density - unjammed)))
+    /// Mean distance of packings from their onsets where these were found.
+    pub fn onset_excess(&self) -> f64 {
+        mean(self.all.iter().filter_map(Packing::onset_excess))
     }
 
-    /// Whether the spread of onsets is that of packings: four times the error of an onset anywhere in its bracket, which
-    /// then adds 3 % to it. Else it is that of the search.
+    /// Whether the spread of onsets is that of packings, and not that of the search.
     pub fn resolves_onsets(&self) -> bool {
-        spread(self.onsets().into_iter()) > 4.0 * self.onset_bracket() / 12f64.sqrt()
+        spread(self.onsets().into_iter()) > 4.0 * self.onset_excess()
     }
 
     /// Values of all packings at all samples.

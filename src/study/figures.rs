@@ -321,7 +321,7 @@ fn onsets(ensembles: &[Ensemble]) -> Vec<Axes> {
         let width = |s: &Packings| [n(s), spread(s.onsets().into_iter())];
         let error = |s: &Packings| match s.resolves_onsets() {
             true => width(s)[1] / (s.onsets().len() as f64).sqrt(),
-            false => s.onset_bracket() / 12f64.sqrt(),
+            false => s.onset_excess(),
         };
         means.series.push(Series {
             name: title(ensemble),

@@ -97,7 +97,7 @@ fn packings_table(ensembles: &[Ensemble]) -> String {
             0 => ["–".into(), "–".into()],
             1 => [format!("{mean:.5}"), "–".into()],
             _ if s.resolves_onsets() => [format!("{mean:.5} ± {error:.5}"), format!("{spread:.5}")],
-            _ => [format!("{mean:.5}, in brackets of {:.5}", s.onset_bracket()), "–".into()],
+            _ => [format!("{mean:.5}, to {:.5}", s.onset_excess()), "–".into()],
         };
         let reason = s.failures.first().map_or(String::new(), |reason| format!(", such as: {}", escape(reason)));
         let _ = writeln!(
