@@ -49,15 +49,15 @@ Examples:
   jamhpc run scene.toml --check                 is it valid? what are its values, defaults included?
   mpirun -n 4 jamhpc run scene.toml --set n_particles=1024 --set seed=7 -o seed7
   jamhpc run scene.toml --resume                go on with a run that was killed, on any number of ranks
-  jamhpc info jamhpc-out/*.h5                   what is in a results file
+  jamhpc info jamhpc-out/results.h5             what is in a results file
   jamhpc render FILE.h5 --frame 3 --color-by pressure -o frame3.png
   jamhpc evaluate FILE.json                     energy, forces, stress, contacts of one configuration
   jamhpc analyze FILE.h5 --all -o numbers.csv   every observable of every frame, measured again
   jamhpc check FILE.h5                          is every frame relaxed, uncrossed, and what it says it is?
   jamhpc validate                               is this build right? exact checks, some seconds
 
-Exit codes: 0 done, 2 bad input, 3 a state did not converge, 1 other failures, 85 interrupted by a signal
-(--resume goes on), 70 internal error.";
+Exit codes: 0 done, 2 bad input, 3 a state did not converge or no onset was found, 1 other failures, 85 interrupted by a
+signal (--resume goes on), 70 internal error.";
 
 /// What to do.
 #[derive(Debug, Subcommand)]
@@ -182,7 +182,7 @@ pub enum Command {
     },
     /// Check the program against exact formulas and print what came out; fails if a check does
     Validate {
-        /// More and finer checks, and means over many packings: about seven minutes on one core
+        /// More and finer checks, and means over many packings: about eight minutes on two cores
         #[arg(long)]
         long: bool,
     },
