@@ -143,6 +143,14 @@ impl Packing {
         }
     }
 
+    /// The value at a packing fraction, on the line between two samples; NaN outside of them.
+    pub fn at(&self, quantity: Quantity, rho: f64) -> f64 {
+        let point = |k: usize| [self.value(Quantity::Rho, k), self.value(quantity, k)];
+        let mut pieces = (1..self.n_samples).map(|k| [point(k - 1), point(k)]);
+        let piece = pieces.find(|[a, b]| a[0] <= rho && rho <= b[0]);
+        piece.map_or(f64::NAN, |[a, b]| a[1] + (b[1] - a[1]) * (rho - a[0]) / (b[0] - a[0]))
+    }
+
     pub fn n_samples(&self) -> usize {
         self.n_samples
     }

@@ -8,7 +8,7 @@ use crate::statistics::{
 };
 
 /// Resamples for the errors of fits.
-const RESAMPLES: usize = 200;
+pub(super) const RESAMPLES: usize = 200;
 /// Distances above onset at which amplitudes are fitted: above the crossover of a packing so large, which is at some 10 to
 /// 100 N⁻², and below confluence. The smallest packings are not asymptotic anywhere.
 pub fn window(n_particles: usize) -> [f64; 2] {
@@ -22,7 +22,7 @@ const FIRST: [f64; 2] = [0.05, 0.95];
 const SECOND: [f64; 2] = [0.96, 3.0];
 const SINGLE_RANGE: [f64; 2] = [0.05, 2.0];
 /// Fewer packings have no errors.
-const FEWEST: usize = 3;
+pub(super) const FEWEST: usize = 3;
 /// Fits of single sizes want as many.
 const ENOUGH: usize = 20;
 

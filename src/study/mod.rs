@@ -1,9 +1,11 @@
 //! Studies: packings of many sizes and seeds, made by groups of ranks, then averaged, fitted and drawn.
 //!
 //! `plan` says which packings there are, `schedule` who makes them, `record` what is kept of each and `store` where;
-//! `data` averages, `findings` fits, `figures` and `report` show, and `paper` is what it is compared with.
+//! `data` averages, `findings` fits, `densities` compares the models, `figures` and `report` show, and `paper` is what it is
+//! compared with.
 
 pub mod data;
+pub mod densities;
 pub mod figures;
 pub mod findings;
 pub mod paper;

@@ -1,6 +1,7 @@
 //! The report of a study: tables and figures in one HTML file that needs no other.
 
 use super::data::{Ensemble, Packings};
+use super::densities::at_densities;
 use super::figures::{self, NUMBERS};
 use super::findings::{Finding, Findings, of_ensemble, of_size, table_size};
 use super::paper::{self, Row};
@@ -12,7 +13,15 @@ use std::fmt::Write;
 
 /// Everything that a study found, ensemble by ensemble.
 pub fn findings(ensembles: &[Ensemble]) -> Vec<Findings> {
-    let of = |e: &Ensemble| [vec![of_ensemble(e)], e.sizes.iter().map(of_size).collect()].concat();
+    let disks = |n_particles: usize| {
+        let mut sizes = ensembles.iter().flat_map(|e| &e.sizes);
+        sizes.find(|s| s.model == Model::Sp && s.n_particles == n_particles)
+    };
+    let of = |e: &Ensemble| {
+        let deformable = e.sizes.iter().filter(|s| s.model == Model::Dp);
+        let at_densities = deformable.map(|s| at_densities(s, disks(s.n_particles))).collect();
+        [vec![of_ensemble(e)], e.sizes.iter().map(of_size).collect(), at_densities].concat()
+    };
     ensembles.iter().flat_map(of).filter(|found: &Findings| !found.rows.is_empty()).collect()
 }
 
