@@ -1,6 +1,7 @@
 //! Do minimisers end in the same packings? Many random packings are compressed along the same densities by each of them,
 //! and single steps are made by all of them from one state. `scripts/basins` starts this program with the folder of its
-//! results, which must be there, and the number of packings; ranks share the packings.
+//! results, which must be there, the number of packings, and max|F| where they begin to jam; ranks share the packings. Each is written when it is done,
+//! so that a program that was stopped goes on where it was.
 
 use jamhpc::comm::{Comm, Session};
 use jamhpc::engine::System;
@@ -14,7 +15,7 @@ use jamhpc::run::{Task, with_system};
 use jamhpc::scene::Scene;
 use jamhpc::statistics::{mean, spread};
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 const SCENE: &str = "model = 'dp'\nn_particles = 64\ninitial.packing_fraction = 0.7";
 
@@ -26,6 +27,8 @@ const WAYS: [(&str, &str, f64); 3] =
 const METHODS: [&str; 3] = ["fire", "cg", "newton"];
 /// Densities to which compression goes, and by which steps; small ones where packings begin to jam.
 const STAGES: [(f64, f64); 3] = [(0.82, 0.01), (0.86, 0.0025), (0.95, 0.01)];
+/// The stage in which packings begin to jam.
+const ONSET: usize = 1;
 /// Where states are measured, and relaxed for that.
 const MEASURED: [f64; 2] = [0.90, 0.95];
 /// The last step to them when it is made from one state.
@@ -34,9 +37,9 @@ const LAST: f64 = 0.01;
 const NAMES: [&str; 5] = ["U", "p", "z", "A", "G"];
 /// A packing counts as jammed from where its pressure passes through this, in γ/l.
 const JAMMED: f64 = 1e-2;
-/// max|F| on the way and where states are measured, in γ.
-const COARSE: f64 = 1e-4;
+/// max|F| in γ where states are measured, and on the way; where packings begin to jam it is an argument.
 const EXACT: f64 = 1e-8;
+const COARSE: f64 = 1e-4;
 const MAX_ITERATIONS: u64 = 10_000_000;
 /// Two minima whose energies differ by less than this part of them are one.
 const ONE_MINIMUM: f64 = 1e-9;
@@ -51,41 +54,82 @@ type Step = [f64; STEP];
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
-    let [out, packings] = words.as_slice() else {
+    let [out, packings, forces] = words.as_slice() else {
         println!("scripts/basins starts this program");
         return;
     };
     let packings: u64 = packings.parse().expect("the number of packings");
+    let forces: f64 = forces.parse().expect("max|F| where packings begin to jam");
     let session = Session::start();
     let world = session.world();
-    let (mut rows, mut steps) = (Vec::new(), Vec::new());
+    let out = Path::new(out);
     for seed in (1..=packings).filter(|seed| seed % world.size() as u64 == world.rank() as u64) {
-        for way in 0..WAYS.len() {
-            let scene = Scene::parse(SCENE, "basins", &[format!("seed={seed}")]).unwrap_or_else(|e| panic!("{e}"));
-            let task = Compress { seed, way, rows: &mut rows, steps: &mut steps };
-            with_system(Comm::alone(), &scene, task).unwrap_or_else(|e| panic!("packing {seed}: {e}"));
+        if read(&file(out, seed, forces)).is_none() {
+            write(&file(out, seed, forces), compress(seed, forces));
+            eprintln!("packing {seed}");
         }
-        eprintln!("packing {seed}");
     }
-    let (rows, steps) = (gathered::<ROW>(&world, &rows), gathered::<STEP>(&world, &steps));
+    world.barrier();
     if world.is_root() {
+        let all = (1..=packings).map(|seed| read(&file(out, seed, forces)).expect("all packings are there"));
+        let (rows, steps): (Vec<[Row; WAYS.len()]>, Vec<[Step; MEASURED.len()]>) = all.unzip();
+        let (rows, steps) = (rows.concat(), steps.concat());
         let columns = MEASURED.map(|density| NAMES.map(|name| format!("{name}_{density}"))).concat().join(",");
         let mut text = format!("packing,way,crossed,cpu_seconds,rho_jammed,{columns}\n");
         for row in &rows {
             write!(text, "{},{},", row[0], WAYS[row[1] as usize].0).expect("a string takes all");
             line(&mut text, &row[2..]);
         }
-        std::fs::write(Path::new(out).join("ways.csv"), text).expect("the folder takes files");
+        std::fs::write(out.join("ways.csv"), text).expect("the folder takes files");
         let mut text = String::from("packing,density,U_fire,U_cg,U_newton\n");
         steps.iter().for_each(|row| line(&mut text, row));
-        std::fs::write(Path::new(out).join("steps.csv"), text).expect("the folder takes files");
+        std::fs::write(out.join("steps.csv"), text).expect("the folder takes files");
         report(&rows, &steps);
     }
+}
+
+/// One packing on all ways, and its single steps.
+type Packing = ([Row; WAYS.len()], [Step; MEASURED.len()]);
+
+fn compress(seed: u64, forces: f64) -> Packing {
+    let (mut rows, mut steps) = (Vec::new(), Vec::new());
+    for way in 0..WAYS.len() {
+        let scene = Scene::parse(SCENE, "basins", &[format!("seed={seed}")]).unwrap_or_else(|e| panic!("{e}"));
+        let task = Compress { seed, way, forces, rows: &mut rows, steps: &mut steps };
+        with_system(Comm::alone(), &scene, task).unwrap_or_else(|e| panic!("packing {seed}: {e}"));
+    }
+    // Newton's way may end before its single steps are made.
+    steps.resize(MEASURED.len(), [f64::NAN; STEP]);
+    (rows.try_into().expect("a row a way"), steps.try_into().expect("a step a density"))
+}
+
+fn file(out: &Path, seed: u64, forces: f64) -> PathBuf {
+    out.join(format!("packing-{seed}-{forces:e}.csv"))
+}
+
+fn write(path: &Path, (rows, steps): Packing) {
+    let mut text = String::new();
+    rows.iter().for_each(|row| line(&mut text, row));
+    steps.iter().for_each(|step| line(&mut text, step));
+    std::fs::write(path, text).expect("the folder takes files");
+}
+
+/// A packing that was written whole.
+fn read(path: &Path) -> Option<Packing> {
+    let text = std::fs::read_to_string(path).ok().filter(|text| text.ends_with('\n'))?;
+    let numbers = |line: &str| line.split(',').map(|word| word.parse().ok()).collect::<Option<Vec<f64>>>();
+    let lines: Vec<Vec<f64>> = text.lines().map(numbers).collect::<Option<_>>()?;
+    let (rows, steps) = lines.split_at_checked(WAYS.len())?;
+    let rows: Vec<Row> = rows.iter().map(|row| row.as_slice().try_into().ok()).collect::<Option<_>>()?;
+    let steps: Vec<Step> = steps.iter().map(|step| step.as_slice().try_into().ok()).collect::<Option<_>>()?;
+    Some((rows.try_into().ok()?, steps.try_into().ok()?))
 }
 
 struct Compress<'a> {
     seed: u64,
     way: usize,
+    /// max|F| where packings begin to jam.
+    forces: f64,
     rows: &'a mut Vec<Row>,
     steps: &'a mut Vec<Step>,
 }
@@ -98,11 +142,12 @@ impl Task for Compress<'_> {
         let mut last = [system.density()?, 0.0]; // density and pressure
         let mut density = last[0];
         let begin = cpu_seconds();
-        for (end, step) in STAGES {
+        for (stage, (end, step)) in STAGES.into_iter().enumerate() {
+            let coarse = if stage == ONSET { self.forces } else { COARSE };
             while density < end - 1e-9 {
                 density = (density + step / divisor).min(end);
                 let measured = MEASURED.iter().position(|m| (density - m).abs() < 1e-9);
-                let goal = goal(if measured.is_some() { EXACT } else { COARSE });
+                let goal = goal(if measured.is_some() { EXACT } else { coarse });
                 if measured.is_some() && method == "newton" {
                     let energies = self.after_one_state(&mut system, density)?;
                     self.steps.push([vec![self.seed as f64, density], energies].concat().try_into().expect("a step"));
@@ -164,15 +209,6 @@ fn observed<M: Model>(system: &mut System<M>) -> Result<[f64; 5], Failure> {
     let (sample, _) = Sample::measure(system, &Report::default(), Rattlers::default())?;
     let modulus = Moduli::of(system)?.mean_shear_modulus;
     Ok([sample.energies.total, sample.pressure(), sample.contact_number, sample.shape_parameter.relative, modulus])
-}
-
-/// The rows of all ranks, on the first, in the order of their first two numbers.
-fn gathered<const N: usize>(world: &Comm, rows: &[[f64; N]]) -> Vec<[f64; N]> {
-    let words = rows.as_flattened().iter().map(|x| x.to_bits()).collect();
-    let all: Vec<f64> = world.gather(words).concat().into_iter().map(f64::from_bits).collect();
-    let mut rows: Vec<[f64; N]> = all.as_chunks::<N>().0.to_vec();
-    rows.sort_by(|a, b| (a[0], a[1]).partial_cmp(&(b[0], b[1])).expect("numbers"));
-    rows
 }
 
 fn line(text: &mut String, row: &[f64]) {
