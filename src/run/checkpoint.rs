@@ -506,7 +506,8 @@ impl Signals {
         self.checkpoint.swap(false, Ordering::Relaxed)
     }
 
-    fn asks_for_end(&self) -> bool {
+    /// Whether this rank has been told to end.
+    pub fn asks_for_end(&self) -> bool {
         self.end.load(Ordering::Relaxed)
     }
 }

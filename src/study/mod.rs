@@ -36,7 +36,7 @@ use store::Store;
 /// there is. A signal that asks for the end leaves checkpoints of those that are being made. Collective.
 pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool) -> Result<String, Failure> {
     // by ranks too that have no packing to make
-    Signals::listen()?;
+    let signals = Signals::listen()?;
     // held until the end
     let folder = Folder::prepare(comm, directory).map_err(|e| Failure::Input(e.to_string()))?;
     let claims = folder.file("claims");
@@ -55,6 +55,9 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
 
     let mut progress = Progress::new(speaks && comm.is_root(), directory, &members, &jobs);
     let worked = schedule::work(comm, &jobs, &Claims::in_folder(&claims), &mut |group, job| {
+        if group.any(signals.asks_for_end()) {
+            return Err(Failure::Interrupted("between two packings".into()));
+        }
         let member = &members[job.member];
         let started = std::time::Instant::now();
         let under_way = store::checkpoint_folder(directory, &member.id());
