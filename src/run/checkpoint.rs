@@ -233,7 +233,9 @@ impl From<Failure> for Stop {
 
 impl From<OutputError> for Stop {
     fn from(error: OutputError) -> Self {
-        Stop::Failure(Failure::from(error).and("the checkpoint before it, if there is one, is whole"))
+        Stop::Failure(Failure::from(error).and(
+            "the checkpoint before it, if there is one, is whole: --resume goes on from there, a study by the same command",
+        ))
     }
 }
 
