@@ -1,7 +1,7 @@
 //! Do minimisers end in the same packings? Many random packings are compressed along the same densities by each of them,
 //! and single steps are made by all of them from one state. `scripts/basins` starts this program with the folder of its
-//! results, which must be there, the number of packings, and max|F| where they begin to jam; ranks share the packings. Each is written when it is done,
-//! so that a program that was stopped goes on where it was.
+//! results, which must be there, the number of packings, and max|F| where they begin to jam; ranks share the packings.
+//! Each is written when it is done, so that a program that was stopped goes on where it was.
 
 use jamhpc::comm::{Comm, Session};
 use jamhpc::engine::System;

@@ -37,6 +37,9 @@ use std::time::{Duration, Instant};
 
 /// Outcomes that a rank keeps in memory, in bytes, before they are written whatever the time.
 const MOST_KEPT: usize = 8 << 20;
+/// The same for one of many packings: most take seconds and thousands of minimisations, and should come to their end without
+/// loading a disk that many ranks share.
+const MOST_KEPT_OF_MEMBER: usize = 64 << 20;
 /// Which program a checkpoint is from.
 const PROGRAM: &str = concat!("# jamhpc ", env!("CARGO_PKG_VERSION"), " ", env!("JAMHPC_GIT_HASH"));
 
@@ -90,7 +93,7 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
                 )));
             }
         }
-        Checkpoints::in_folder(comm, inner, scene, folder, resume)
+        Checkpoints::in_folder(comm, inner, scene, folder, resume, MOST_KEPT)
     }
 
     /// Of one of many packings: goes on if the folder holds a checkpoint of this scene by this very program; any other
@@ -101,7 +104,7 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
         if !stored.is_empty() && !resumes {
             tracing::warn!("{} is of another plan or version: begun anew", folder.display());
         }
-        Checkpoints::in_folder(comm, inner, scene, folder, resumes)
+        Checkpoints::in_folder(comm, inner, scene, folder, resumes, MOST_KEPT_OF_MEMBER)
     }
 
     fn in_folder(
@@ -110,6 +113,7 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
         scene: &Scene,
         folder: PathBuf,
         resumes: bool,
+        most_kept: usize,
     ) -> Result<Self, Failure> {
         if !resumes {
             // outcomes of something else must not be taken for those that are written now
@@ -120,6 +124,7 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
             folder,
             scene: scene.of_results().to_toml(),
             interval: Duration::from_secs_f64(scene.checkpoint.interval),
+            most_kept,
             signals: Signals::listen()?,
             saved: 0,
             fresh: Vec::new(),
@@ -246,6 +251,8 @@ struct List {
     folder: PathBuf,
     scene: String,
     interval: Duration,
+    /// Bytes of outcomes in memory.
+    most_kept: usize,
     signals: Signals,
     /// How many are on the disk and have been read or written.
     saved: usize,
@@ -364,7 +371,7 @@ impl List {
     /// that of a minimisation under way. Collective: ranks act together if one of them has reason to.
     fn heed<M: Model>(&mut self, system: &System<M>, memory: &[u64]) -> Result<(), Stop> {
         let kept: usize = self.fresh.iter().filter_map(|r| r.particles.as_deref()).map(bytes).sum();
-        let is_due = self.written.elapsed() >= self.interval || kept > MOST_KEPT;
+        let is_due = self.written.elapsed() >= self.interval || kept > self.most_kept;
         let here = [is_due | self.signals.asks_for_checkpoint(), self.signals.asks_for_end()].map(u64::from);
         let ranks = system.comm.all_gather(&here);
         let [write, end] = [0, 1].map(|k| ranks.iter().any(|rank| rank[k] > 0));
