@@ -645,7 +645,7 @@ fn signals_write_checkpoints() {
 }
 
 #[test]
-fn a_signal_ends_a_minimisation_that_cannot_be_left() {
+fn a_signal_ends_newtons_method() {
     // forces never get as small as this, and iterations last for hours
     let place = Place::in_memory(
         "model = 'dp'\nn_particles = 64\n[initial]\npacking_fraction = 0.7\n[compression]\ndensities = [0.72]\n\

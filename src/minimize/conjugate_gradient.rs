@@ -1,4 +1,4 @@
-use super::{Goal, Minimized, Minimizer, RUNAWAY, Report, all_turns, memory_of, remembered};
+use super::{Goal, Minimized, Minimizer, RUNAWAY, Report, memory_of, remembered};
 use crate::comm::{FusedSums, Grid, Sums, Totals};
 use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, dot};
@@ -71,10 +71,6 @@ struct Memory {
 }
 
 impl Minimizer for ConjugateGradient {
-    fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
-        all_turns(self, system, goal)
-    }
-
     fn advance<M: Model>(
         &self,
         system: &mut System<M>,

@@ -63,35 +63,25 @@ pub const TURN: u64 = 64;
 /// A way to minimise. Implementations must give the same bits on any number of ranks and threads: decide only by
 /// values that are reduced over all ranks by order-independent sums or maxima.
 pub trait Minimizer {
-    fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError>;
-
-    /// The same in turns of at most so many iterations, with `None` for an answer until it has come to its end. What it
-    /// must know at the next turn lies in `memory` (empty before the first, the same on all ranks) and in the carried
-    /// vectors of the particles: put back with them, also in another process, it goes on to the same bits.
-    ///
-    /// A minimiser that cannot be left does everything in one turn, and answers [`EngineError::Interrupted`] where
-    /// [`System::is_to_end`].
+    /// Turns of at most so many iterations, with `None` for an answer until it has come to its end. What it must know at
+    /// the next turn lies in `memory` (empty before the first, the same on all ranks) and in the carried vectors of the
+    /// particles: put back with them, also in another process, it goes on to the same bits. Iterations that cannot be
+    /// left are taken back where [`System::is_to_end`].
     fn advance<M: Model>(
         &self,
         system: &mut System<M>,
         goal: &Goal,
-        _memory: &mut Vec<u64>,
-        _iterations: u64,
-    ) -> Result<Option<Minimized>, EngineError> {
-        self.minimize(system, goal).map(Some)
-    }
-}
+        memory: &mut Vec<u64>,
+        iterations: u64,
+    ) -> Result<Option<Minimized>, EngineError>;
 
-/// All turns of a minimiser that knows them.
-fn all_turns<M: Model>(
-    minimizer: &impl Minimizer,
-    system: &mut System<M>,
-    goal: &Goal,
-) -> Result<Minimized, EngineError> {
-    let mut memory = Vec::new();
-    loop {
-        if let Some(minimized) = minimizer.advance(system, goal, &mut memory, u64::MAX)? {
-            return Ok(minimized);
+    /// All turns.
+    fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
+        let mut memory = Vec::new();
+        loop {
+            if let Some(minimized) = self.advance(system, goal, &mut memory, u64::MAX)? {
+                return Ok(minimized);
+            }
         }
     }
 }

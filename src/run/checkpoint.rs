@@ -2,8 +2,8 @@
 //!
 //! All that a run does follows from its scene, and nearly all that it costs are minimisations. So a checkpoint is the
 //! list of what they came to, in their order. A resumed run starts its protocol from the beginning; each minimisation
-//! is answered from the list, until the list ends. The one that was under way goes on from where it was, if its
-//! minimiser can, else from its start. Nothing here decides what comes out: what is missing or damaged is done again.
+//! is answered from the list, until the list ends. The one that was under way goes on from where it was. Nothing here
+//! decides what comes out: what is missing or damaged is done again.
 //!
 //! ```text
 //! DIRECTORY/checkpoint/
@@ -216,6 +216,17 @@ impl<Inner: Minimizer> Minimizer for Checkpoints<'_, Inner> {
             }
         })
     }
+
+    /// Turns are those of the inner minimiser.
+    fn advance<M: Model>(
+        &self,
+        system: &mut System<M>,
+        goal: &Goal,
+        _: &mut Vec<u64>,
+        _: u64,
+    ) -> Result<Option<Minimized>, EngineError> {
+        self.minimize(system, goal).map(Some)
+    }
 }
 
 /// Why a minimisation has no outcome.
@@ -279,11 +290,7 @@ impl List {
         }
         let mut memory = self.take_up(system)?;
         loop {
-            let minimized = match inner.advance(system, goal, &mut memory, TURN) {
-                // of a minimiser that cannot be left only this minimisation is lost
-                Err(EngineError::Interrupted) => None,
-                done => done?,
-            };
+            let minimized = inner.advance(system, goal, &mut memory, TURN)?;
             if let Some(minimized) = minimized {
                 let outcome = Outcome {
                     edges: edges(system.pbox()),

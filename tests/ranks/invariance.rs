@@ -3,13 +3,15 @@
 use crate::harness::Outcome;
 use crate::systems::*;
 use jamhpc::comm::Comm;
-use jamhpc::engine::System;
+use jamhpc::engine::{System, Watch};
 use jamhpc::geometry::PeriodicBox;
 use jamhpc::minimize::{ConjugateGradient, Fire, Goal, Minimizer, Newton};
 use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
 use jamhpc::observe::{Contacts, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
 use jamhpc::particles::Particles;
 use jamhpc::protocol::{OnsetSearch, compress_to, find_onset};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 pub fn forces_sp(comm: Comm) -> Outcome {
     let mut system = random_sp(comm, 1024, unit_box(0.1), 0.9, 0.9);
@@ -89,6 +91,36 @@ pub fn cg_dp(comm: Comm) -> Outcome {
     relax(system, ConjugateGradient, 5, 0.1)
 }
 
+/// Whoever watches a minimiser and asks it to end, more seldom as it goes on, so that it comes to its end.
+#[derive(Clone, Default)]
+struct Interruptions {
+    ends: Arc<AtomicBool>,
+    told: Arc<AtomicU64>,
+}
+
+fn watched<M: Model>(system: &mut System<M>) -> Interruptions {
+    let interruptions = Interruptions::default();
+    let Interruptions { ends, told } = interruptions.clone();
+    let told = move |_, _| {
+        let times = 1 + told.fetch_add(1, Ordering::Relaxed);
+        if times.isqrt().pow(2) == times {
+            ends.store(true, Ordering::Relaxed);
+        }
+    };
+    system.watch = Some(Watch { told: Box::new(told), ends: interruptions.ends.clone() });
+    interruptions
+}
+
+impl Interruptions {
+    fn forget(&self) {
+        self.ends.store(false, Ordering::Relaxed);
+    }
+
+    fn count(&self) -> u64 {
+        self.told.load(Ordering::Relaxed).isqrt()
+    }
+}
+
 /// A minimiser in short turns, between which its memory and the particles are all that is left of it: new lists, new
 /// owners. It must go the way of one that is never left.
 fn in_turns<M: Model + Clone>(mut system: System<M>, minimizer: impl Minimizer, goal: &Goal) -> Outcome {
@@ -97,11 +129,13 @@ fn in_turns<M: Model + Clone>(mut system: System<M>, minimizer: impl Minimizer, 
     let expected = describe(&mut system);
     system.restore(start.0, start.1);
     let (mut memory, mut turns) = (Vec::new(), 0);
+    let interruptions = watched(&mut system);
     let parted = loop {
         if let Some(minimized) = minimizer.advance(&mut system, goal, &mut memory, 17).unwrap() {
             break minimized;
         }
         turns += 1;
+        interruptions.forget();
         // rank 0 gets all of them, and keeps those that are its own
         let mut message = Vec::new();
         (0..system.particles().len()).for_each(|p| system.particles().pack(p, true, &mut message));
@@ -111,6 +145,7 @@ fn in_turns<M: Model + Clone>(mut system: System<M>, minimizer: impl Minimizer, 
         system.restore(start.0, particles);
     };
     assert!(turns > 10, "{turns} turns");
+    assert!(interruptions.count() > 3);
     assert_eq!(parted, whole);
     assert_eq!(describe(&mut system), expected);
     expected
@@ -121,6 +156,14 @@ pub fn turns_fire(comm: Comm) -> Outcome {
     let tighter = system.pbox().with_area(0.88 * system.pbox().area());
     system.deform_rigidly(tighter);
     in_turns(system, Fire, &goal(1e-9, 500))
+}
+
+/// Its Newton steps are interrupted, too.
+pub fn turns_newton(comm: Comm) -> Outcome {
+    let mut system = random_dp::<VertexEdge>(comm, 64, unit_box(0.0), 0.75, 0.95);
+    let tighter = system.pbox().with_area(0.79 * system.pbox().area());
+    system.deform_rigidly(tighter);
+    in_turns(system, Newton, &goal(1e-9, 1_000_000))
 }
 
 pub fn turns_cg(comm: Comm) -> Outcome {

@@ -1,9 +1,13 @@
+mod past;
 mod steps;
 
-use super::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, RUNAWAY, Report, TURN};
+use super::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, RUNAWAY, Report};
 use crate::engine::{EngineError, System};
+use crate::geometry::PeriodicBox;
 use crate::model::Model;
+use crate::particles::Particles;
 use crate::stiffness::Cholesky;
+use past::Past;
 
 /// Newton's method with a sparse factor of the Hessian, led to the minimum through softer contacts.
 ///
@@ -22,6 +26,8 @@ use crate::stiffness::Cholesky;
 /// so soft that they overlap by a small part of their width.
 ///
 /// Disks have nothing but contacts: conjugate gradients until they press on each other, then Newton steps.
+///
+/// Turns end between iterations of FIRE and conjugate gradients; Newton steps towards one level are made in one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Newton;
 
@@ -61,29 +67,43 @@ const PATIENCE: u64 = 50_000;
 const SMALL: f64 = 0.1;
 
 impl Minimizer for Newton {
-    fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
-        let unit = system.model.force_unit();
+    fn advance<M: Model>(
+        &self,
+        system: &mut System<M>,
+        goal: &Goal,
+        memory: &mut Vec<u64>,
+        iterations: u64,
+    ) -> Result<Option<Minimized>, EngineError> {
+        let (past, left) = Past::remembered(memory);
         let mut search = Search {
             goal,
-            unit,
+            unit: system.model.force_unit(),
             stiffest: 0.0,
             is_gentle: false,
             cholesky: Cholesky::default(),
             report: Report::default(),
+            past,
+            left,
+            turn: iterations,
         };
-        let converged = match system.model.softened(1.0) {
+        let outcome = match system.model.softened(1.0) {
             Some(full) => {
                 let outcome = search.through_softer(system, &full);
                 system.model = full;
-                outcome?
+                outcome
             }
             None => {
                 search.stiffest = system.model.time_step().powi(-2);
-                search.settle(system, goal.force_tolerance)?
+                search.settle(system, goal.force_tolerance)
             }
         };
+        if let Err(EngineError::Interrupted) = outcome {
+            *memory = search.past.memory(&search.left);
+            return Ok(None);
+        }
+        let converged = outcome?;
         let report = search.report;
-        Ok(if converged { Minimized::Converged(report) } else { Minimized::Unconverged(report) })
+        Ok(Some(if converged { Minimized::Converged(report) } else { Minimized::Unconverged(report) }))
     }
 }
 
@@ -97,8 +117,15 @@ struct Search<'a> {
     is_gentle: bool,
     cholesky: Cholesky,
     report: Report,
+    past: Past,
+    /// Memory of the minimiser that was left.
+    left: Vec<u64>,
+    /// Iterations of FIRE or conjugate gradients after which they are left.
+    turn: u64,
 }
 
+/// Where a turn ends, they answer [`EngineError::Interrupted`]. What moves particles or looks at them goes through
+/// [`Search::once`].
 impl Search<'_> {
     /// Relaxes with soft contacts, then hardens them; leaves the last model tried in the system.
     fn through_softer<M: Model>(&mut self, system: &mut System<M>, full: &M) -> Result<bool, EngineError> {
@@ -106,7 +133,7 @@ impl Search<'_> {
         let is_fine = self.is_fine();
         let small = SMALL * full.step_cap() / (4.0 * full.time_step().powi(2));
         self.stiffest = at(SOFTEST).time_step().powi(-2);
-        if is_fine && self.forces(system)? <= small {
+        if is_fine && self.once(system, |search, system| search.forces(system))? <= small {
             // contact forces as they are after a change of the box say nothing of those at balance: no pre-stress
             if self.attempt(system, self.goal.force_tolerance, 0.0)? {
                 return Ok(true);
@@ -143,7 +170,7 @@ impl Search<'_> {
                 }
                 harder = HARDER;
             }
-            tracing::debug!(level = next, "contacts are harder");
+            self.say(|| tracing::debug!(level = next, "contacts are harder"));
             level = next;
         }
         Ok(true)
@@ -170,14 +197,14 @@ impl Search<'_> {
             self.relax(system, &Fire, &goal)?;
             let level = (self.push(system)? / (GENTLE * deep)).clamp(GENTLEST, SOFTEST);
             self.is_gentle = level < SOFTEST;
-            tracing::debug!(level, "stiff contacts");
+            self.say(|| tracing::debug!(level, "stiff contacts"));
             return Ok(level);
         }
         system.model = at(mild);
         let goal = self.goal_of(self.goal.force_tolerance.max(SOFTEST * deep), MILDLY);
         self.relax(system, &Fire, &goal)?;
         let level = (self.push(system)? / deep).max(SOFTEST).min(mild); // also where both are 0
-        tracing::debug!(level, mild, "soft contacts overlap little");
+        self.say(|| tracing::debug!(level, mild, "soft contacts overlap little"));
         Ok(level)
     }
 
@@ -188,7 +215,7 @@ impl Search<'_> {
         let mut tolerance = ON_THE_WAY * self.unit;
         while tolerance > least {
             let push = self.push(system)?;
-            tracing::debug!(push, tolerance, "soft contacts");
+            self.say(|| tracing::debug!(push, tolerance, "soft contacts"));
             if tolerance <= BALANCED * push {
                 break;
             }
@@ -205,8 +232,40 @@ impl Search<'_> {
     }
 
     /// What the pressure of contacts is on a particle, a force.
-    fn push<M: Model>(&self, system: &mut System<M>) -> Result<f64, EngineError> {
-        Ok(system.energies()?.pressure() * system.spacing())
+    fn push<M: Model>(&mut self, system: &mut System<M>) -> Result<f64, EngineError> {
+        self.once(system, |_, system| Ok(system.energies()?.pressure() * system.spacing()))
+    }
+
+    /// What `act` came to: it is not done again when a search that was left comes to it once more.
+    fn once<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        act: impl FnOnce(&mut Self, &mut System<M>) -> Result<f64, EngineError>,
+    ) -> Result<f64, EngineError> {
+        if let Some((value, report)) = self.past.repeat() {
+            self.report = report;
+            return Ok(value);
+        }
+        let value = act(self, system)?;
+        self.past.push(value, self.report);
+        Ok(value)
+    }
+
+    /// The same for what succeeds or does not.
+    fn succeeds<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        act: impl FnOnce(&mut Self, &mut System<M>) -> Result<bool, EngineError>,
+    ) -> Result<bool, EngineError> {
+        Ok(self.once(system, |search, system| Ok(f64::from(act(search, system)?)))? == 1.0)
+    }
+
+    /// Says something once, too.
+    fn say(&mut self, message: impl FnOnce()) {
+        if self.past.repeat().is_none() {
+            message();
+            self.past.push(0.0, self.report);
+        }
     }
 
     /// A goal on the way, with the iterations that are left, at most so many.
@@ -243,19 +302,19 @@ impl Search<'_> {
         minimizer: &impl Minimizer,
         goal: &Goal,
     ) -> Result<bool, EngineError> {
-        let mut memory = Vec::new();
-        let minimized = loop {
-            if let Some(minimized) = minimizer.advance(system, goal, &mut memory, TURN)? {
-                break minimized;
-            }
-            heed(system)?;
-        };
-        let Report { iterations, force_evaluations, max_force } = *minimized.report();
-        self.report.iterations += iterations;
-        self.report.force_evaluations += force_evaluations;
-        self.report.max_force = max_force;
-        tracing::debug!(iterations, max_force, "relaxed roughly");
-        Ok(minimized.is_converged())
+        self.succeeds(system, |search, system| {
+            let mut memory = std::mem::take(&mut search.left);
+            let Some(minimized) = minimizer.advance(system, goal, &mut memory, search.turn)? else {
+                search.left = memory;
+                return Err(EngineError::Interrupted);
+            };
+            let Report { iterations, force_evaluations, max_force } = *minimized.report();
+            search.report.iterations += iterations;
+            search.report.force_evaluations += force_evaluations;
+            search.report.max_force = max_force;
+            tracing::debug!(iterations, max_force, "relaxed roughly");
+            Ok(minimized.is_converged())
+        })
     }
 
     /// Down to a minimum from wherever the system is; false when the iterations do not suffice.
@@ -273,7 +332,7 @@ impl Search<'_> {
             }
             // disks that do not press on each other yet are still on their way to other contacts
             let is_near = M::BODIES || self.report.max_force <= PRESSED * self.push(system)?;
-            if is_near && self.newton(system, tolerance, 1.0, bends)? {
+            if is_near && self.succeeds(system, |search, system| search.steps(system, tolerance, 1.0, bends))? {
                 return Ok(true);
             }
             bends = self.is_gentle && is_near && !bends;
@@ -290,15 +349,33 @@ impl Search<'_> {
         tolerance: f64,
         prestress: f64,
     ) -> Result<bool, EngineError> {
-        let (pbox, before) = (*system.pbox(), system.own_particles());
-        let ways: &[bool] = if self.is_gentle { &[false, true] } else { &[false] };
-        for &bends in ways {
-            if self.newton(system, tolerance, prestress, bends)? {
-                return Ok(true);
+        self.succeeds(system, |search, system| {
+            let (pbox, before) = state(system);
+            let ways: &[bool] = if search.is_gentle { &[false, true] } else { &[false] };
+            for &bends in ways {
+                if search.steps(system, tolerance, prestress, bends)? {
+                    return Ok(true);
+                }
+                system.restore(pbox, before.clone());
             }
-            system.restore(pbox, before.clone());
+            Ok(false)
+        })
+    }
+
+    /// Newton steps, taken back when they are to end before their time.
+    fn steps<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        tolerance: f64,
+        prestress: f64,
+        bends: bool,
+    ) -> Result<bool, EngineError> {
+        let (pbox, before) = state(system);
+        let outcome = self.newton(system, tolerance, prestress, bends);
+        if let Err(EngineError::Interrupted) = outcome {
+            system.restore(pbox, before);
         }
-        Ok(false)
+        outcome
     }
 
     /// Largest force at the present positions.
@@ -314,7 +391,8 @@ impl Search<'_> {
     }
 }
 
-/// Nothing of a minimisation is kept that ends before its time.
-fn heed<M: Model>(system: &System<M>) -> Result<(), EngineError> {
-    if system.is_to_end() { Err(EngineError::Interrupted) } else { Ok(()) }
+/// What Newton steps start from; vectors that travelled with the points have served.
+fn state<M: Model>(system: &mut System<M>) -> (PeriodicBox, Particles) {
+    system.carry(0);
+    (*system.pbox(), system.own_particles())
 }

@@ -1,4 +1,4 @@
-use super::{Search, heed};
+use super::Search;
 use crate::comm::FusedSums;
 use crate::engine::{EngineError, System};
 use crate::geometry::{Vec2, add, dot, norm, scale, sub};
@@ -67,7 +67,9 @@ impl Search<'_> {
             }
             self.report.iterations += 1;
             system.tell(max_force);
-            heed(system)?;
+            if system.is_to_end() {
+                return Err(EngineError::Interrupted);
+            }
             if looks_ahead && system.prepare_for_reach()? {
                 self.forces(system)?;
             }
