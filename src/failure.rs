@@ -5,6 +5,7 @@ use crate::exchange::ExchangeError;
 use crate::output::OutputError;
 use crate::protocol::ProtocolError;
 use crate::scene::SceneError;
+use serde::{Deserialize, Serialize};
 
 /// Exit codes; a panic ends with [`crate::comm::EXIT_PANIC`].
 pub mod exit {
@@ -17,7 +18,7 @@ pub mod exit {
 }
 
 /// Why a command has no result. The message says what to do about it.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error, Serialize, Deserialize)]
 pub enum Failure {
     /// What the user gave cannot be used: a key, a file, a folder, a number of ranks.
     #[error("{0}")]
@@ -43,27 +44,20 @@ impl Failure {
         }
     }
 
-    /// Of whatever kind it is, one that is not due to what the user gave: what [`crate::comm::Comm::from_root`] hands on has
-    /// lost its kind.
-    pub fn into_other(self) -> Self {
-        Failure::Other(self.to_string())
-    }
-
     /// The same failure with a remark after its message.
     pub fn and(self, remark: &str) -> Self {
-        match self {
-            Failure::Input(text) => Failure::Input(format!("{text}; {remark}")),
-            Failure::NotConverged(text) => Failure::NotConverged(format!("{text}; {remark}")),
-            Failure::Interrupted(text) => Failure::Interrupted(format!("{text}; {remark}")),
-            Failure::Other(text) => Failure::Other(format!("{text}; {remark}")),
-        }
+        let text = format!("{self}; {remark}");
+        self.with(text)
     }
-}
 
-/// Text alone is a complaint about an input file: what [`crate::comm::Comm::from_root`] hands on.
-impl From<String> for Failure {
-    fn from(text: String) -> Self {
-        Failure::Input(text)
+    /// One of the same kind with another message.
+    fn with(self, message: String) -> Self {
+        match self {
+            Failure::Input(_) => Failure::Input(message),
+            Failure::NotConverged(_) => Failure::NotConverged(message),
+            Failure::Interrupted(_) => Failure::Interrupted(message),
+            Failure::Other(_) => Failure::Other(message),
+        }
     }
 }
 
@@ -88,11 +82,10 @@ impl From<EngineError> for Failure {
 
 impl From<ExchangeError> for Failure {
     fn from(error: ExchangeError) -> Self {
+        let message = error.to_string();
         match error {
-            ExchangeError::Engine { source: EngineError::Runaway { .. } | EngineError::Voids { .. }, .. } => {
-                Failure::Other(error.to_string())
-            }
-            _ => Failure::Input(error.to_string()),
+            ExchangeError::Input { .. } => Failure::Input(message),
+            ExchangeError::Engine { source, .. } => Failure::from(source).with(message),
         }
     }
 }

@@ -16,6 +16,8 @@ use mpi::collective::UnsafeUserOperation;
 use mpi::point_to_point::{Destination, Source};
 use mpi::topology::{Color, Communicator, SimpleCommunicator};
 use mpi::traits::{AsRaw, CommunicatorCollectives, Root};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 /// MPI, from initialisation to finalisation. Without `mpirun` this is one rank.
 pub struct Session {
@@ -263,19 +265,21 @@ impl Comm {
     }
 
     /// What `read` gives on rank 0, success or failure, on every rank. Rank 0 alone calls it.
-    pub fn from_root<E: From<String> + std::fmt::Display>(
+    pub fn from_root<E: Serialize + DeserializeOwned>(
         &self,
         read: impl FnOnce() -> Result<Vec<u8>, E>,
     ) -> Result<Vec<u8>, E> {
         let outcome = if self.is_root() { Some(read()) } else { None };
         let (ok, bytes) = match outcome {
             Some(Ok(bytes)) => (1, bytes),
-            Some(Err(error)) => (0, error.to_string().into_bytes()),
+            Some(Err(error)) => (0, serde_json::to_vec(&error).expect("an error is plain data")),
             None => (0, Vec::new()),
         };
-        let tagged = self.broadcast([vec![ok], bytes].concat());
-        let (ok, bytes) = (tagged[0] == 1, tagged[1..].to_vec());
-        if ok { Ok(bytes) } else { Err(E::from(String::from_utf8_lossy(&bytes).into_owned())) }
+        let mut tagged = self.broadcast([bytes, vec![ok]].concat());
+        if tagged.pop() == Some(1) {
+            return Ok(tagged);
+        }
+        Err(serde_json::from_slice(&tagged).expect("an error as rank 0 wrote it"))
     }
 
     pub fn barrier(&self) {

@@ -65,53 +65,52 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
         if let Some(reason) = &made.record.failure {
             tracing::warn!(member = member.id(), reason, "failed");
         }
-        let kept = group.from_root(|| {
+        group.from_root(|| {
             store::keep_pictures(directory, &member.group.id(), &made.pictures)?;
             store::keep(directory, &made.record)?;
             checkpoint::remove(&under_way);
             progress::note(directory, member, group.size(), started.elapsed())?;
             Ok::<_, Failure>(Vec::new())
-        });
-        kept.map_err(Failure::into_other)?;
+        })?;
         progress.show();
         Ok(())
     });
     progress.finish();
     // a group that has met an error is waited for by the others, and what all of them made is kept
-    let is_misused = comm.any(matches!(worked, Err(Failure::Input(_))));
     let is_ended = comm.any(matches!(worked, Err(Failure::Interrupted(_))));
     let error = worked.err().filter(|error| !matches!(error, Failure::Interrupted(_)));
-    let failed = comm.any(error.is_some());
-    let reasons = comm.gather(error.map_or(Vec::new(), |e| e.to_string().bytes().map(u64::from).collect()));
-    let gathered = comm.from_root(|| {
+    let error = first_failure(comm, error);
+    let text = comm.from_root(|| {
         let store = store::gather(directory, plan, false)?;
         // claims of finished work say nothing
         let _ = std::fs::remove_dir_all(&claims);
         let of_all = format!("{} of {} packings", store.records.len(), members.len());
-        let text = if failed {
-            let bytes = reasons.iter().find(|words| !words.is_empty());
-            let bytes: Vec<u8> = bytes.into_iter().flatten().map(|&word| word as u8).collect();
-            format!("{}; {of_all} are kept", String::from_utf8_lossy(&bytes))
-        } else if is_ended {
+        if let Some(error) = error {
+            return Err(error.and(&format!("{of_all} are kept")));
+        }
+        if is_ended {
             let place = directory.display();
-            format!("ended by a signal; {of_all} and all work on others are kept in {place}: the same command goes on")
-        } else {
-            store::keep_checkpoints(directory, &BTreeSet::new());
-            let mut summary = summary(plan, &store, directory);
-            for path in draw(directory, &NUMBERS, true)? {
-                summary += &format!("{}\n", path.display());
-            }
-            summary
-        };
-        Ok::<_, Failure>(text.into_bytes())
-    });
-    let text = String::from_utf8_lossy(&gathered.map_err(Failure::into_other)?).into_owned();
-    match (failed, is_misused, is_ended) {
-        (true, true, _) => Err(Failure::Input(text)),
-        (true, ..) => Err(Failure::Other(text)),
-        (.., true) => Err(Failure::Interrupted(text)),
-        _ => Ok(text),
-    }
+            return Err(Failure::Interrupted(format!(
+                "ended by a signal; {of_all} and all work on others are kept in {place}: the same command goes on"
+            )));
+        }
+        store::keep_checkpoints(directory, &BTreeSet::new());
+        let mut summary = summary(plan, &store, directory);
+        for path in draw(directory, &NUMBERS, true)? {
+            summary += &format!("{}\n", path.display());
+        }
+        Ok(summary.into_bytes())
+    })?;
+    Ok(String::from_utf8_lossy(&text).into_owned())
+}
+
+/// The failure of the first rank that has one, on rank 0. Collective.
+fn first_failure(comm: &Comm, failure: Option<Failure>) -> Option<Failure> {
+    let bytes = failure.map_or(Vec::new(), |failure| serde_json::to_vec(&failure).unwrap_or_default());
+    // one byte a word: messages are short, and rare
+    let all = comm.gather(bytes.into_iter().map(u64::from).collect());
+    let first: Vec<u8> = all.iter().find(|words| !words.is_empty())?.iter().map(|&word| word as u8).collect();
+    serde_json::from_slice(&first).ok()
 }
 
 /// Draws figures of the study in a folder, by their numbers in the paper, as SVG and PNG; with the report and the table of

@@ -73,8 +73,7 @@ impl Claims {
             let claimed =
                 self.claim(jobs).map_err(|e| Failure::Other(format!("cannot claim work: {}", explain(&e))))?;
             Ok::<_, Failure>(claimed.map_or(Vec::new(), |k| (k as u64).to_le_bytes().to_vec()))
-        });
-        let taken = taken.map_err(Failure::into_other)?;
+        })?;
         Ok(<[u8; 8]>::try_from(&taken[..]).ok().map(|bytes| u64::from_le_bytes(bytes) as usize))
     }
 
