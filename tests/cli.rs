@@ -239,6 +239,11 @@ fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
 
     let info = place.jamhpc(&["info", "out/results.h5"]).succeeds().stdout;
     assert!(info.contains("complete") && info.contains("32 particles"), "{info}");
+    // one name for one thing
+    let headings = |text: &str| text.lines().find(|line| line.contains("max|F|")).map(str::to_owned).unwrap();
+    for heading in headings(&info).split_whitespace().skip(1) {
+        assert!(headings(&run.stdout).contains(heading), "{info}");
+    }
     for picture in ["onset.svg", "onset.png"] {
         place.jamhpc(&["render", "out/results.h5", "--frame", "0", "--color-by", "pressure", "-o", picture]).succeeds();
         assert!(place.read(picture).len() > 1000);

@@ -6,14 +6,14 @@ use crate::comm::Comm;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Columns of the table of samples, as far as the file has them: name in the file, heading.
+/// Columns of the table of samples, as far as the file has them: name in the file, heading as in the table of a run.
 const TABLE: [(&str, &str); 7] = [
-    ("density", "density"),
-    ("packing_fraction", "packing"),
+    ("packing_fraction", "rho"),
+    ("reduced_number_density", "phi"),
     ("contact_number", "z"),
-    ("pressure", "pressure"),
-    ("shape_parameter_relative", "shape"),
-    ("energy_total", "energy"),
+    ("shape_parameter_relative", "A relative"),
+    ("pressure", "p"),
+    ("energy_total", "U"),
     ("max_force", "max|F|"),
 ];
 
