@@ -299,9 +299,7 @@ impl List {
                 };
                 // directions and velocities have served, and are more than the particles themselves
                 system.carry(0);
-                if system.comm.any(bytes(system.particles()) > MOST_KEPT) {
-                    system.lay_bare(); // memory has no room for lists and for the particles twice
-                }
+                system.lay_bare(); // memory has no room for lists and for the particles twice
                 let particles = Some(Cow::Owned(system.own_particles()));
                 self.fresh.push(Record { note: json(&outcome), particles });
                 memory.clear();
