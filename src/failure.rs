@@ -29,7 +29,7 @@ pub enum Failure {
     /// A signal ended it; it can be resumed.
     #[error("{0}")]
     Interrupted(String),
-    /// Anything else: a full disk, a file that vanished, forces that run away.
+    /// Anything else: a full disk, forces that run away.
     #[error("{0}")]
     Other(String),
 }
@@ -46,12 +46,12 @@ impl Failure {
 
     /// The same failure with a remark after its message.
     pub fn and(self, remark: &str) -> Self {
-        let text = format!("{self}; {remark}");
-        self.with(text)
+        let message = format!("{self}; {remark}");
+        self.saying(message)
     }
 
     /// One of the same kind with another message.
-    fn with(self, message: String) -> Self {
+    fn saying(self, message: String) -> Self {
         match self {
             Failure::Input(_) => Failure::Input(message),
             Failure::NotConverged(_) => Failure::NotConverged(message),
@@ -85,7 +85,7 @@ impl From<ExchangeError> for Failure {
         let message = error.to_string();
         match error {
             ExchangeError::Input { .. } => Failure::Input(message),
-            ExchangeError::Engine { source, .. } => Failure::from(source).with(message),
+            ExchangeError::Engine { source, .. } => Failure::from(source).saying(message),
         }
     }
 }

@@ -270,12 +270,13 @@ impl Comm {
         read: impl FnOnce() -> Result<Vec<u8>, E>,
     ) -> Result<Vec<u8>, E> {
         let outcome = if self.is_root() { Some(read()) } else { None };
-        let (ok, bytes) = match outcome {
-            Some(Ok(bytes)) => (1, bytes),
-            Some(Err(error)) => (0, serde_json::to_vec(&error).expect("an error is plain data")),
-            None => (0, Vec::new()),
+        let (mut bytes, ok) = match outcome {
+            Some(Ok(bytes)) => (bytes, 1),
+            Some(Err(error)) => (serde_json::to_vec(&error).expect("an error is plain data"), 0),
+            None => (Vec::new(), 0),
         };
-        let mut tagged = self.broadcast([bytes, vec![ok]].concat());
+        bytes.push(ok);
+        let mut tagged = self.broadcast(bytes);
         if tagged.pop() == Some(1) {
             return Ok(tagged);
         }

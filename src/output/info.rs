@@ -6,17 +6,6 @@ use crate::comm::Comm;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Columns of the table of samples, as far as the file has them: name in the file, heading as in the table of a run.
-const TABLE: [(&str, &str); 7] = [
-    ("packing_fraction", "rho"),
-    ("reduced_number_density", "phi"),
-    ("contact_number", "z"),
-    ("shape_parameter_relative", "A relative"),
-    ("pressure", "p"),
-    ("energy_total", "U"),
-    ("max_force", "max|F|"),
-];
-
 /// A summary of a results file: what was run, by which version, and a table of its samples. For one rank.
 pub fn info(path: &Path) -> Result<String, OutputError> {
     let results = Results::open(&Comm::alone(), path)?;
@@ -35,9 +24,19 @@ pub fn info(path: &Path) -> Result<String, OutputError> {
     line("written by", &format!("jamhpc {} ({})", results.version, results.git_hash));
     line("samples", &results.frames.to_string());
 
-    let shown: Vec<(&str, &Vec<f64>)> = TABLE
-        .iter()
-        .filter_map(|(name, heading)| series.iter().find(|(n, _)| n == name).map(|(_, values)| (*heading, values)))
+    // headings are those of a run's table, numbers in the units of the file
+    let columns = [
+        ("packing_fraction", "rho"),
+        ("reduced_number_density", "phi"),
+        ("contact_number", "z"),
+        ("shape_parameter_relative", if results.model() == "sp" { "A" } else { "A relative" }),
+        ("pressure", "p"),
+        ("energy_total", "U"),
+        ("max_force", "max|F|"),
+    ];
+    let shown: Vec<(&str, &Vec<f64>)> = columns
+        .into_iter()
+        .filter_map(|(name, heading)| series.iter().find(|(n, _)| n == name).map(|(_, values)| (heading, values)))
         .collect();
     if results.frames > 0 && !shown.is_empty() {
         let headings: String = shown.iter().map(|(heading, _)| format!(" {heading:>12}")).collect();

@@ -117,8 +117,10 @@ impl<'a, Inner: Minimizer> Checkpoints<'a, Inner> {
     ) -> Result<Self, Failure> {
         if !resumes {
             // outcomes of something else must not be taken for those that are written now
-            comm.from_root(|| clear(&folder).map(|()| Vec::new()).map_err(|e| e.to_string()))
-                .map_err(|reason| Failure::Other(format!("cannot remove {}: {reason}", folder.display())))?;
+            comm.from_root(|| match clear(&folder) {
+                Ok(()) => Ok(Vec::new()),
+                Err(e) => Err(Failure::Other(format!("cannot remove {}: {e}", folder.display()))),
+            })?;
         }
         let list = List {
             folder,
@@ -217,7 +219,7 @@ impl<Inner: Minimizer> Minimizer for Checkpoints<'_, Inner> {
         })
     }
 
-    /// Turns are those of the inner minimiser.
+    /// One turn is all: it is here that turns are taken.
     fn advance<M: Model>(
         &self,
         system: &mut System<M>,

@@ -81,7 +81,10 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
     let error = worked.err().filter(|error| !matches!(error, Failure::Interrupted(_)));
     let error = first_failure(comm, error);
     let text = comm.from_root(|| {
-        let store = store::gather(directory, plan, false)?;
+        let store = match (store::gather(directory, plan, false), &error) {
+            (Err(_), Some(first)) => return Err(first.clone()),
+            (gathered, _) => gathered?,
+        };
         // claims of finished work say nothing
         let _ = std::fs::remove_dir_all(&claims);
         let of_all = format!("{} of {} packings", store.records.len(), members.len());
