@@ -56,7 +56,7 @@ impl Minimized {
 /// Forces beyond this, in the scene's units, can only come from a broken state.
 const RUNAWAY: f64 = 1e12;
 
-/// Iterations between two looks at the clock and the signals: fewer than a second's even of millions of particles, and
+/// Iterations between two looks at the clock and the signals: fewer than some seconds' even of millions of particles, and
 /// enough that looking costs nothing.
 pub const TURN: u64 = 64;
 
@@ -75,14 +75,9 @@ pub trait Minimizer {
         iterations: u64,
     ) -> Result<Option<Minimized>, EngineError>;
 
-    /// All turns.
+    /// All in one turn.
     fn minimize<M: Model>(&self, system: &mut System<M>, goal: &Goal) -> Result<Minimized, EngineError> {
-        let mut memory = Vec::new();
-        loop {
-            if let Some(minimized) = self.advance(system, goal, &mut memory, u64::MAX)? {
-                return Ok(minimized);
-            }
-        }
+        self.advance(system, goal, &mut Vec::new(), u64::MAX)?.ok_or(EngineError::Interrupted)
     }
 }
 

@@ -27,7 +27,8 @@ use past::Past;
 ///
 /// Disks have nothing but contacts: conjugate gradients until they press on each other, then Newton steps.
 ///
-/// Turns end between iterations of FIRE and conjugate gradients; Newton steps towards one level are made in one.
+/// Turns end between iterations of FIRE and conjugate gradients, and after Newton steps towards one level, which are made
+/// in one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Newton;
 
@@ -74,7 +75,7 @@ impl Minimizer for Newton {
         memory: &mut Vec<u64>,
         iterations: u64,
     ) -> Result<Option<Minimized>, EngineError> {
-        let (past, left) = Past::remembered(memory);
+        let (past, inner) = Past::remembered(memory);
         let mut search = Search {
             goal,
             unit: system.model.force_unit(),
@@ -83,7 +84,7 @@ impl Minimizer for Newton {
             cholesky: Cholesky::default(),
             report: Report::default(),
             past,
-            left,
+            inner,
             turn: iterations,
         };
         let outcome = match system.model.softened(1.0) {
@@ -98,7 +99,8 @@ impl Minimizer for Newton {
             }
         };
         if let Err(EngineError::Interrupted) = outcome {
-            *memory = search.past.memory(&search.left);
+            // the turn is over, or its Newton steps are taken back
+            *memory = search.past.memory(&search.inner);
             return Ok(None);
         }
         let converged = outcome?;
@@ -119,8 +121,8 @@ struct Search<'a> {
     report: Report,
     past: Past,
     /// Memory of the minimiser that was left.
-    left: Vec<u64>,
-    /// Iterations of FIRE or conjugate gradients after which they are left.
+    inner: Vec<u64>,
+    /// Iterations of FIRE or conjugate gradients after which they are left; `u64::MAX` if the search is not to be left.
     turn: u64,
 }
 
@@ -260,6 +262,17 @@ impl Search<'_> {
         Ok(self.once(system, |search, system| Ok(f64::from(act(search, system)?)))? == 1.0)
     }
 
+    /// The same for what takes long: a turn ends with it.
+    fn ends_turn<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        act: impl FnOnce(&mut Self, &mut System<M>) -> Result<bool, EngineError>,
+    ) -> Result<bool, EngineError> {
+        let is_new = self.past.is_over();
+        let succeeded = self.succeeds(system, act)?;
+        if is_new && self.turn < u64::MAX { Err(EngineError::Interrupted) } else { Ok(succeeded) }
+    }
+
     /// Says something once, too.
     fn say(&mut self, message: impl FnOnce()) {
         if self.past.repeat().is_none() {
@@ -303,9 +316,9 @@ impl Search<'_> {
         goal: &Goal,
     ) -> Result<bool, EngineError> {
         self.succeeds(system, |search, system| {
-            let mut memory = std::mem::take(&mut search.left);
+            let mut memory = std::mem::take(&mut search.inner);
             let Some(minimized) = minimizer.advance(system, goal, &mut memory, search.turn)? else {
-                search.left = memory;
+                search.inner = memory;
                 return Err(EngineError::Interrupted);
             };
             let Report { iterations, force_evaluations, max_force } = *minimized.report();
@@ -332,7 +345,7 @@ impl Search<'_> {
             }
             // disks that do not press on each other yet are still on their way to other contacts
             let is_near = M::BODIES || self.report.max_force <= PRESSED * self.push(system)?;
-            if is_near && self.succeeds(system, |search, system| search.steps(system, tolerance, 1.0, bends))? {
+            if is_near && self.ends_turn(system, |search, system| search.steps(system, tolerance, 1.0, bends))? {
                 return Ok(true);
             }
             bends = self.is_gentle && is_near && !bends;
@@ -349,7 +362,7 @@ impl Search<'_> {
         tolerance: f64,
         prestress: f64,
     ) -> Result<bool, EngineError> {
-        self.succeeds(system, |search, system| {
+        self.ends_turn(system, |search, system| {
             let (pbox, before) = state(system);
             let ways: &[bool] = if search.is_gentle { &[false, true] } else { &[false] };
             for &bends in ways {

@@ -22,13 +22,13 @@ impl Past {
     /// From the memory of a search, with that of the minimiser that it was left in.
     pub fn remembered(memory: &[u64]) -> (Past, Vec<u64>) {
         let Some((&count, rest)) = memory.split_first() else { return Default::default() };
-        let (acts, left) = rest.split_at(count as usize * (size_of::<Act>() / size_of::<u64>()));
-        (Past { acts: bytemuck::cast_slice(acts).to_vec(), repeated: 0 }, left.to_vec())
+        let (acts, inner) = rest.split_at(count as usize * (size_of::<Act>() / size_of::<u64>()));
+        (Past { acts: bytemuck::cast_slice(acts).to_vec(), repeated: 0 }, inner.to_vec())
     }
 
     /// The memory that [`Past::remembered`] reads.
-    pub fn memory(&self, left: &[u64]) -> Vec<u64> {
-        [&[self.acts.len() as u64], bytemuck::cast_slice(&self.acts), left].concat()
+    pub fn memory(&self, inner: &[u64]) -> Vec<u64> {
+        [&[self.acts.len() as u64], bytemuck::cast_slice(&self.acts), inner].concat()
     }
 
     /// What the next act came to, if it was done before.
@@ -36,6 +36,11 @@ impl Past {
         let act = self.acts.get(self.repeated)?;
         self.repeated += 1;
         Some((act.value, act.report))
+    }
+
+    /// Whether nothing is left to be come to again.
+    pub fn is_over(&self) -> bool {
+        self.repeated == self.acts.len()
     }
 
     pub fn push(&mut self, value: f64, report: Report) {
