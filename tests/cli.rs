@@ -240,8 +240,11 @@ fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
     let info = place.jamhpc(&["info", "out/results.h5"]).succeeds().stdout;
     assert!(info.contains("complete") && info.contains("32 particles"), "{info}");
     // one name for one thing
-    let headings = |text: &str| text.lines().find(|line| line.contains("max|F|")).map(str::to_owned).unwrap();
-    for heading in headings(&info).split_whitespace().skip(1) {
+    let headings = |text: &str| -> Vec<String> {
+        let line = text.lines().find(|line| line.contains("max|F|")).unwrap();
+        line.split_whitespace().map(str::to_owned).collect()
+    };
+    for heading in &headings(&info)[1..] {
         assert!(headings(&run.stdout).contains(heading), "{info}");
     }
     for picture in ["onset.svg", "onset.png"] {

@@ -272,7 +272,7 @@ impl Comm {
         let outcome = if self.is_root() { Some(read()) } else { None };
         let (mut bytes, ok) = match outcome {
             Some(Ok(bytes)) => (bytes, 1),
-            Some(Err(error)) => (serde_json::to_vec(&error).expect("an error is plain data"), 0),
+            Some(Err(error)) => (note_of(&error), 0),
             None => (Vec::new(), 0),
         };
         bytes.push(ok);
@@ -280,7 +280,20 @@ impl Comm {
         if tagged.pop() == Some(1) {
             return Ok(tagged);
         }
-        Err(serde_json::from_slice(&tagged).expect("an error as rank 0 wrote it"))
+        Err(noted(&tagged))
+    }
+
+    /// The value of every rank if all succeeded, else the error of the first rank that failed, on all of them: the next
+    /// collective call is then made by all ranks or by none. Collective.
+    pub fn agree<T, E: Serialize + DeserializeOwned>(&self, outcome: Result<T, E>) -> Result<T, E> {
+        if !self.any(outcome.is_err()) {
+            return outcome;
+        }
+        let note = outcome.err().map_or(Vec::new(), |error| note_of(&error));
+        // one byte a word: errors are short, and rare
+        let all = self.gather(note.into_iter().map(u64::from).collect());
+        let first = all.into_iter().find(|words| !words.is_empty()).unwrap_or_default();
+        Err(noted(&self.broadcast(first.into_iter().map(|word| word as u8).collect())))
     }
 
     pub fn barrier(&self) {
@@ -288,4 +301,13 @@ impl Comm {
             group.barrier();
         }
     }
+}
+
+/// An error as it is sent to other ranks.
+fn note_of(error: &impl Serialize) -> Vec<u8> {
+    serde_json::to_vec(error).expect("an error is plain data")
+}
+
+fn noted<E: DeserializeOwned>(note: &[u8]) -> E {
+    serde_json::from_slice(note).expect("an error as another rank wrote it")
 }

@@ -21,18 +21,9 @@ impl OutputError {
     }
 }
 
-/// The value of every rank if all succeeded, else the reason of the first rank that failed, on all of them: the next
-/// collective call is then made by all ranks or by none. Collective.
+/// [`Comm::agree`] on errors of any kind, as text. Collective.
 pub(super) fn agree<T, E: Display>(comm: &Comm, outcome: Result<T, E>) -> Result<T, String> {
-    if !comm.any(outcome.is_err()) {
-        return outcome.map_err(|error| error.to_string());
-    }
-    let reason = outcome.err().map_or(String::new(), |error| error.to_string());
-    // one byte a word: these messages are short, and rare
-    let all = comm.gather(reason.bytes().map(u64::from).collect());
-    let first = all.iter().find(|words| !words.is_empty());
-    let bytes = first.map_or(Vec::new(), |words| words.iter().map(|&word| word as u8).collect());
-    Err(String::from_utf8_lossy(&comm.broadcast(bytes)).into_owned())
+    comm.agree(outcome.map_err(|error| error.to_string()))
 }
 
 /// What `act` answers on rank 0, success or failure, on all ranks. Collective.

@@ -79,7 +79,7 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
     // a group that has met an error is waited for by the others, and what all of them made is kept
     let is_ended = comm.any(matches!(worked, Err(Failure::Interrupted(_))));
     let error = worked.err().filter(|error| !matches!(error, Failure::Interrupted(_)));
-    let error = first_failure(comm, error);
+    let error = comm.agree(error.map_or(Ok(()), Err)).err();
     let text = comm.from_root(|| {
         let store = match (store::gather(directory, plan, false), &error) {
             (Err(_), Some(first)) => return Err(first.clone()),
@@ -105,15 +105,6 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
         Ok(summary.into_bytes())
     })?;
     Ok(String::from_utf8_lossy(&text).into_owned())
-}
-
-/// The failure of the first rank that has one, on rank 0. Collective.
-fn first_failure(comm: &Comm, failure: Option<Failure>) -> Option<Failure> {
-    let bytes = failure.map_or(Vec::new(), |failure| serde_json::to_vec(&failure).unwrap_or_default());
-    // one byte a word: messages are short, and rare
-    let all = comm.gather(bytes.into_iter().map(u64::from).collect());
-    let first: Vec<u8> = all.iter().find(|words| !words.is_empty())?.iter().map(|&word| word as u8).collect();
-    serde_json::from_slice(&first).ok()
 }
 
 /// Draws figures of the study in a folder, by their numbers in the paper, as SVG and PNG; with the report and the table of

@@ -92,32 +92,17 @@ pub fn cg_dp(comm: Comm) -> Outcome {
 }
 
 /// Whoever watches a minimiser and asks it to end, more seldom as it goes on, so that it comes to its end.
-#[derive(Clone, Default)]
-struct Interruptions {
-    ends: Arc<AtomicBool>,
-}
-
-fn watched<M: Model>(system: &mut System<M>) -> Interruptions {
-    let interruptions = Interruptions::default();
-    let (ends, told) = (interruptions.ends.clone(), AtomicU64::new(0));
+fn watched<M: Model>(system: &mut System<M>) -> Arc<AtomicBool> {
+    let (ends, told) = (Arc::new(AtomicBool::new(false)), AtomicU64::new(0));
+    let asks = ends.clone();
     let told = move |_, _| {
         let times = 1 + told.fetch_add(1, Ordering::Relaxed);
         if times.isqrt().pow(2) == times {
-            ends.store(true, Ordering::Relaxed);
+            asks.store(true, Ordering::Relaxed);
         }
     };
-    system.watch = Some(Watch { told: Box::new(told), ends: interruptions.ends.clone() });
-    interruptions
-}
-
-impl Interruptions {
-    fn forget(&self) {
-        self.ends.store(false, Ordering::Relaxed);
-    }
-
-    fn are_asked_for(&self) -> bool {
-        self.ends.load(Ordering::Relaxed)
-    }
+    system.watch = Some(Watch { told: Box::new(told), ends: ends.clone() });
+    ends
 }
 
 /// A minimiser in short turns, between which its memory and the particles are all that is left of it: new lists, new
@@ -134,15 +119,14 @@ fn in_turns<M: Model + Clone>(
     let expected = describe(&mut system);
     system.restore(start.0, start.1);
     let (mut memory, mut turns, mut backs) = (Vec::new(), 0, 0);
-    let interruptions = watched(&mut system);
+    let ends = watched(&mut system);
     let parted = loop {
         if let Some(minimized) = minimizer.advance(&mut system, goal, &mut memory, 17).unwrap() {
             break minimized;
         }
         turns += 1;
         // FIRE and conjugate gradients leave vectors
-        backs += usize::from(interruptions.are_asked_for() && system.particles().carried.is_empty());
-        interruptions.forget();
+        backs += usize::from(ends.swap(false, Ordering::Relaxed) && system.particles().carried.is_empty());
         // rank 0 gets all of them, and keeps those that are its own
         let mut message = Vec::new();
         (0..system.particles().len()).for_each(|p| system.particles().pack(p, true, &mut message));

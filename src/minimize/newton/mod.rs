@@ -3,9 +3,7 @@ mod steps;
 
 use super::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, RUNAWAY, Report};
 use crate::engine::{EngineError, System};
-use crate::geometry::PeriodicBox;
 use crate::model::Model;
-use crate::particles::Particles;
 use crate::stiffness::Cholesky;
 use past::Past;
 
@@ -262,17 +260,6 @@ impl Search<'_> {
         Ok(self.once(system, |search, system| Ok(f64::from(act(search, system)?)))? == 1.0)
     }
 
-    /// The same for what takes long: a turn ends with it.
-    fn ends_turn<M: Model>(
-        &mut self,
-        system: &mut System<M>,
-        act: impl FnOnce(&mut Self, &mut System<M>) -> Result<bool, EngineError>,
-    ) -> Result<bool, EngineError> {
-        let is_new = self.past.is_over();
-        let succeeded = self.succeeds(system, act)?;
-        if is_new && self.turn < u64::MAX { Err(EngineError::Interrupted) } else { Ok(succeeded) }
-    }
-
     /// Says something once, too.
     fn say(&mut self, message: impl FnOnce()) {
         if self.past.repeat().is_none() {
@@ -345,7 +332,7 @@ impl Search<'_> {
             }
             // disks that do not press on each other yet are still on their way to other contacts
             let is_near = M::BODIES || self.report.max_force <= PRESSED * self.push(system)?;
-            if is_near && self.ends_turn(system, |search, system| search.steps(system, tolerance, 1.0, bends))? {
+            if is_near && self.steps(system, tolerance, 1.0, &[bends], false)? {
                 return Ok(true);
             }
             bends = self.is_gentle && is_near && !bends;
@@ -362,33 +349,37 @@ impl Search<'_> {
         tolerance: f64,
         prestress: f64,
     ) -> Result<bool, EngineError> {
-        self.ends_turn(system, |search, system| {
-            let (pbox, before) = state(system);
-            let ways: &[bool] = if search.is_gentle { &[false, true] } else { &[false] };
-            for &bends in ways {
-                if search.steps(system, tolerance, prestress, bends)? {
-                    return Ok(true);
-                }
-                system.restore(pbox, before.clone());
-            }
-            Ok(false)
-        })
+        let ways: &[bool] = if self.is_gentle { &[false, true] } else { &[false] };
+        self.steps(system, tolerance, prestress, ways, true)
     }
 
-    /// Newton steps, taken back when they are to end before their time.
+    /// Newton steps on straight ways or those that bend, one kind after the other until one succeeds; taken back when they are
+    /// to end before their time, and where they do not go well if `back` says so. A turn ends with them, as they take long.
     fn steps<M: Model>(
         &mut self,
         system: &mut System<M>,
         tolerance: f64,
         prestress: f64,
-        bends: bool,
+        bends: &[bool],
+        back: bool,
     ) -> Result<bool, EngineError> {
-        let (pbox, before) = state(system);
-        let outcome = self.newton(system, tolerance, prestress, bends);
-        if let Err(EngineError::Interrupted) = outcome {
-            system.restore(pbox, before);
-        }
-        outcome
+        let is_new = self.past.is_over();
+        let succeeded = self.succeeds(system, |search, system| {
+            system.carry(0); // what travelled with the points has served
+            let (pbox, before) = (*system.pbox(), system.own_particles());
+            for &bends in bends {
+                let outcome = search.newton(system, tolerance, prestress, bends);
+                if let Ok(true) = outcome {
+                    return Ok(true);
+                }
+                if back || outcome.is_err() {
+                    system.restore(pbox, before.clone());
+                }
+                outcome?;
+            }
+            Ok(false)
+        })?;
+        if is_new && self.turn < u64::MAX { Err(EngineError::Interrupted) } else { Ok(succeeded) }
     }
 
     /// Largest force at the present positions.
@@ -402,10 +393,4 @@ impl Search<'_> {
         }
         Ok(max_force)
     }
-}
-
-/// What Newton steps start from; vectors that travelled with the points have served.
-fn state<M: Model>(system: &mut System<M>) -> (PeriodicBox, Particles) {
-    system.carry(0);
-    (*system.pbox(), system.own_particles())
 }
