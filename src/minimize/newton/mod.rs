@@ -308,13 +308,17 @@ impl Search<'_> {
                 search.inner = memory;
                 return Err(EngineError::Interrupted);
             };
-            let Report { iterations, force_evaluations, max_force } = *minimized.report();
-            search.report.iterations += iterations;
-            search.report.force_evaluations += force_evaluations;
-            search.report.max_force = max_force;
+            let Report { iterations, max_force, .. } = *minimized.report();
+            search.add(minimized.report());
             tracing::debug!(iterations, max_force, "relaxed roughly");
             Ok(minimized.is_converged())
         })
+    }
+
+    fn add(&mut self, report: &Report) {
+        self.report.iterations += report.iterations;
+        self.report.force_evaluations += report.force_evaluations;
+        self.report.max_force = report.max_force;
     }
 
     /// Down to a minimum from wherever the system is; false when the iterations do not suffice.

@@ -1,7 +1,8 @@
-use super::Search;
+use super::{ROUGH, Search};
 use crate::comm::FusedSums;
 use crate::engine::{EngineError, System};
 use crate::geometry::{Vec2, add, dot, norm, scale, sub};
+use crate::minimize::{ConjugateGradient, Minimizer};
 use crate::model::Model;
 use crate::stiffness::{Stiffness, sums};
 
@@ -31,12 +32,19 @@ const BEND: f64 = 1.0;
 const CURVED: f64 = 30.0;
 /// Force evaluations on the way of one step.
 const TRIALS: u32 = 12;
+/// Iterations of conjugate gradients after a step that leaves rough forces, in systems of more points than the other.
+const SMOOTHING: u64 = 150;
+const SMALL_SYSTEM: u64 = 2000;
 
 /// Newton steps with a shifted Hessian (Levenberg, Marquardt) and a line search along a way that bends.
 ///
 /// With the contacts at its start alone a step ends at the next outline, and near the onset hundreds of them lead nowhere.
 /// Once that has been met with, steps minimise a quadratic form of the energy in which contacts push one way only: those
 /// that open on the way are left out and those that close are put in, chosen again up to [`CHOICES`] times.
+///
+/// One step is for the whole system: it ends, and its shift grows, where the worst of its contacts is. What such places are
+/// left with is stiff and local, and gone after some conjugate gradients: with them steps are fewer in large systems. In
+/// small ones and near the onset nothing is gained.
 ///
 /// Particles that roll on each other, the softest motions, move on curves, and a straight step of length s pushes stiff
 /// contacts and areas by s² times the curvature: it ends where that costs more than the soft motion gains. So the way
@@ -57,6 +65,7 @@ impl Search<'_> {
         let least = SHIFT_LEAST * self.stiffest;
         let mut shift = least;
         let mut looks_ahead = false;
+        let smooths = M::BODIES && system.n_points() > SMALL_SYSTEM;
         let mut max_force = self.forces(system)?;
         for _ in 0..STEPS {
             if max_force <= tolerance {
@@ -92,6 +101,12 @@ impl Search<'_> {
             } else {
                 looks_ahead = M::BODIES;
                 shift *= if self.is_gentle { SHIFT_RISE } else { 1.0 };
+            }
+            let rough = tolerance.max(ROUGH * self.unit);
+            if smooths && !self.is_gentle && max_force > rough {
+                let goal = self.goal_of(rough, SMOOTHING);
+                self.add(ConjugateGradient.minimize(system, &goal)?.report());
+                max_force = self.report.max_force;
             }
         }
         Ok(max_force <= tolerance)
