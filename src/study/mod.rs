@@ -97,6 +97,12 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
                 "ended by a signal; {of_all} and all work on others are kept in {place}: the same command goes on"
             )));
         }
+        if store.records.len() < members.len() {
+            let place = directory.display();
+            return Err(Failure::Other(format!(
+                "only {of_all} can be read in {place}: the same command makes the others"
+            )));
+        }
         store::keep_checkpoints(directory, &BTreeSet::new());
         let mut summary = summary(plan, &store, directory);
         for path in draw(directory, &NUMBERS, true)? {

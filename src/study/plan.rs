@@ -122,7 +122,7 @@ impl Ensemble {
             return Err("`seeds` is how many packings there are of each size: an integer from 1".into());
         }
         if self.ranks == Some(0) {
-            return Err("`ranks` is how many ranks share a packing: an integer from 1".into());
+            return Err("`ranks` is how many ranks share a packing at most: an integer from 1".into());
         }
         self.n_particles.iter().map(|&n| self.group(n)).collect()
     }
@@ -131,7 +131,7 @@ impl Ensemble {
         let text = toml::to_string(&self.scene).map_err(|e| e.to_string())?;
         let sizes = [format!("n_particles={n_particles}"), "seed=0".into()];
         let mut scene = Scene::parse(&text, "scene", &sizes).map_err(|e| e.problem.to_string())?;
-        if let Compression::Until { .. } = scene.compression {
+        if let Compression::Until { .. } | Compression::Densities { .. } = scene.compression {
             return Err("packings are compared at one distance above their own onsets: give `scene.compression` the \
                         form `increments` or `log`"
                 .into());
@@ -246,8 +246,10 @@ mod tests {
         assert!(refusal(&format!("{STUDY}scene.seed = 3")).contains("belongs to the ensemble"));
         assert!(refusal(&format!("{STUDY}scene.shear.until = 0.1")).contains("do not shear"));
         assert!(refusal(&format!("{STUDY}name = 'a/b'")).contains("file names"));
-        let until = STUDY.replace("increments = [1e-3]", "until = 0.9");
-        assert!(refusal(&until).contains("`increments` or `log`"));
+        for form in ["until = 0.9", "densities = [0.9]"] {
+            let other = STUDY.replace("increments = [1e-3]", form);
+            assert!(refusal(&other).contains("`increments` or `log`"));
+        }
     }
 
     #[test]

@@ -106,13 +106,14 @@ struct Make<'a> {
     scene: &'a Scene,
     checkpoint: PathBuf,
     made: &'a mut Made,
-    /// Why its checkpoints end it, if they do: a signal, a full disk.
+    /// Why its checkpoints end it, if they do: a signal, a full disk, a folder that is not to be written to.
     stopped: &'a mut Option<Failure>,
 }
 
 impl Task for Make<'_> {
     fn act<M: Model>(self, mut system: System<M>, minimizer: &impl Minimizer) -> Result<(), Failure> {
-        let checkpoints = Checkpoints::of_member(&system.comm, minimizer, self.scene, self.checkpoint)?;
+        let checkpoints = Checkpoints::of_member(&system.comm, minimizer, self.scene, self.checkpoint)
+            .inspect_err(|failure| *self.stopped = Some(failure.clone()))?;
         system.watch = Some(Watch { told: Box::new(|_, _| {}), ends: checkpoints.ends() });
         let moduli = |system: &mut System<M>| checkpoints.remember(system, Moduli::of);
         let silent = Progress::new(false);

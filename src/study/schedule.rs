@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 pub struct Job {
     /// Which one.
     pub member: usize,
-    /// Ranks that should share it.
+    /// Most ranks that share it.
     pub ranks: usize,
     /// How long it takes, in any units.
     pub cost: f64,
@@ -37,7 +37,7 @@ pub fn work(
 ) -> Result<(), Failure> {
     let Some(first) = jobs.first() else { return Ok(()) };
     let end = jobs.partition_point(|job| job.ranks == first.ranks);
-    let n_groups = (comm.size() / first.ranks).max(1);
+    let n_groups = comm.size().div_ceil(first.ranks);
     let group = comm.split((comm.rank() * n_groups / comm.size()) as u32);
     let mut from = 0;
     while let Some(k) = claims.next(&group, &jobs[from..end])? {
