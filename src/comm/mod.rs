@@ -161,7 +161,8 @@ impl Comm {
     }
 
     /// Order-independent sums of `K` quantities over `n` terms here and any number on other ranks: the same bits
-    /// whichever rank or thread has a term. Each is asked for twice (the largest magnitudes first).
+    /// whichever rank or thread has a term. Each is asked for twice (the largest magnitudes first). NaN where a term is
+    /// not finite.
     pub fn sum_terms<const K: usize>(&self, n: usize, term: impl Fn(usize) -> [f64; K] + Sync) -> [f64; K] {
         let larger = |a: f64, b: f64| if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) };
         let larger_each = |a: [f64; K], b: [f64; K]| std::array::from_fn(|k| larger(a[k], b[k]));
@@ -170,7 +171,8 @@ impl Comm {
             &|range| range.map(|i| term(i).map(f64::abs)).fold([0.0; K], larger_each),
             &larger_each,
         );
-        let grids = self.max_each(bound).map(Grid::for_terms_up_to);
+        let bound = self.max_each(bound);
+        let grids = bound.map(Grid::for_terms_up_to);
         let sums = threads::reduce(
             0..n,
             &|range| {
@@ -193,7 +195,7 @@ impl Comm {
                 whole[k].merge(ExactSum { limbs: [part[2 * k] as i64, part[2 * k + 1] as i64] });
             }
         }
-        std::array::from_fn(|k| whole[k].value(grids[k]))
+        std::array::from_fn(|k| if bound[k].is_finite() { whole[k].value(grids[k]) } else { f64::NAN })
     }
 
     /// The same number of words from every rank, in rank order.

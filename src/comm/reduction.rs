@@ -105,7 +105,7 @@ impl<const S: usize> Default for FusedSums<S> {
 
 impl<const S: usize> FusedSums<S> {
     /// The sums, if the grids they were taken on suited their terms; else nothing, and they must be taken again on the
-    /// grids as they are now. Terms that are not finite are answered as they are.
+    /// grids as they are now. Where a term is not finite, its maximum says so, and the sum means nothing.
     pub fn settle(&mut self, totals: &Totals<S>) -> Option<Sums<S>> {
         let suits = |k: usize| {
             let (most, limit) = (totals.maxima[k], self.grids[k].limit());
