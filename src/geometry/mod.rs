@@ -15,7 +15,7 @@ pub use disk_cut::{DiskCut, cut_disk};
 pub use exposure::{Exposed, Exposure, Hidden};
 pub use frac::Frac;
 pub use periodic_box::{PeriodicBox, Region};
-pub use polygon::Polygon;
+pub use polygon::{Polygon, rounded_area};
 pub use segment::{closest_on_segment, segments_cross};
 
 /// A vector in the plane, components along x and y, in the scene's unit of length unless said otherwise.

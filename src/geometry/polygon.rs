@@ -1,4 +1,5 @@
 use super::{Frac, PeriodicBox, Vec2, add, cross, norm, scale};
+use std::f64::consts::PI;
 
 /// A closed polygon made of its edge vectors, about its own first vertex: no coordinate of the box enters, so its
 /// shape is as exact in a large box as in a small one, and it may be wider than half the box.
@@ -33,9 +34,9 @@ impl Polygon {
         0.5 * self.offsets().zip(&self.edges).map(|(r, &e)| cross(r, e)).sum::<f64>()
     }
 
-    /// Area of a convex polygon with its circulo-line shell of width `delta`: a + p δ/2 + π δ²/4.
+    /// With its shell, see [`rounded_area`].
     pub fn rounded_area(&self, delta: f64) -> f64 {
-        self.area() + 0.5 * delta * self.perimeter() + 0.25 * std::f64::consts::PI * delta * delta
+        rounded_area(self.area(), self.perimeter(), delta)
     }
 
     /// Area centroid relative to the first vertex; the mean vertex where the area is zero.
@@ -53,12 +54,6 @@ impl Polygon {
         }
     }
 
-    /// No reflex corner (to within rounding of each corner's own size).
-    pub fn is_convex(&self) -> bool {
-        let n = self.edges.len();
-        (0..n).all(|i| cross(self.edges[i], self.edges[(i + 1) % n]) >= 0.0)
-    }
-
     /// Whether two of its edges cross.
     pub fn crosses_itself(&self) -> bool {
         let at: Vec<Vec2> = self.offsets().collect();
@@ -70,6 +65,11 @@ impl Polygon {
             })
         })
     }
+}
+
+/// Area of a convex polygon with its circulo-line shell of width `delta`: a + p δ/2 + π δ²/4.
+pub fn rounded_area(area: f64, perimeter: f64, delta: f64) -> f64 {
+    area + 0.5 * delta * perimeter + 0.25 * PI * delta * delta
 }
 
 #[cfg(test)]
@@ -88,13 +88,12 @@ mod tests {
         assert!((p.perimeter() - 6.0).abs() < 1e-15);
         let c = p.centroid();
         assert!((c[0] - 1.0).abs() < 1e-15 && (c[1] - 0.5).abs() < 1e-15);
-        assert!(p.is_convex() && !p.crosses_itself());
+        assert!(!p.crosses_itself());
     }
 
     #[test]
-    fn orientation_convexity_and_crossing() {
+    fn orientation_and_crossing() {
         assert!(polygon(&[[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]]).area() < 0.0);
-        assert!(!polygon(&[[0.0, 0.0], [2.0, 0.0], [1.0, 0.5], [1.0, 2.0]]).is_convex());
         assert!(polygon(&[[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]]).crosses_itself());
     }
 

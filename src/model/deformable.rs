@@ -260,14 +260,10 @@ impl<C: Contact> Model for Deformable<C> {
     }
 
     fn outline(&self, view: &View<C::List>, p: usize) -> Outline {
-        let law = self.parameters.contact;
-        let mut overlap = 0.0f64;
-        C::for_each_touch(law, view, p, |touch| overlap = overlap.max(law.delta - norm(touch.separation)));
         Outline::Polygon {
             polygon: Polygon::from_vertices(view.pbox, view.particles.points_of(p)),
             rest_area: view.particles.size[p],
-            delta: law.delta,
-            overlap,
+            delta: self.parameters.contact.delta,
         }
     }
 

@@ -74,8 +74,6 @@ pub enum Outline {
         /// a₀
         rest_area: f64,
         delta: f64,
-        /// How deep another shell reaches into its own: δ − d for the nearest point of another outline, 0 when none.
-        overlap: f64,
     },
 }
 

@@ -48,8 +48,7 @@ pub fn invariants<M: Model>(
     let unbalanced = sample.max_force * system.n_points() as f64 * radius / system.pbox().area();
     let stress = sample.energies.virial.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
     let rounding = ROUNDING * (stress + largest * (radius + system.largest_size()) / system.pbox().area());
-    let filled =
-        sample.density.packing_fraction + (sample.voids.area + sample.voids.sliver_area) / system.pbox().area();
+    let filled = sample.density.packing_fraction + sample.voids.filled(system.pbox());
     let torque = (sample.energies.virial[1] - sample.energies.virial[2]).abs();
 
     Ok(vec![

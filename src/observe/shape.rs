@@ -1,4 +1,4 @@
-use crate::geometry::cut_disk;
+use crate::geometry::{cut_disk, rounded_area};
 use crate::model::Outline;
 use std::f64::consts::PI;
 
@@ -22,9 +22,6 @@ pub struct PolygonShape {
     pub n_vertices: usize,
     /// Width δ of the circulo-lines.
     pub delta: f64,
-    pub is_convex: bool,
-    /// How deep another shell reaches into this one.
-    pub overlap: f64,
 }
 
 /// 𝒜 = p²/4πa in three readings: 1 for a circle, more for anything else.
@@ -47,16 +44,11 @@ impl Shape {
                 let cut = cut_disk(*radius, overlaps);
                 Shape { area: cut.area, perimeter: cut.perimeter, rest_area: PI * radius * radius, polygon: None }
             }
-            Outline::Polygon { polygon, rest_area, delta, overlap } => Shape {
+            Outline::Polygon { polygon, rest_area, delta } => Shape {
                 area: polygon.area(),
                 perimeter: polygon.perimeter(),
                 rest_area: *rest_area,
-                polygon: Some(PolygonShape {
-                    n_vertices: polygon.edges.len(),
-                    delta: *delta,
-                    is_convex: polygon.is_convex(),
-                    overlap: *overlap,
-                }),
+                polygon: Some(PolygonShape { n_vertices: polygon.edges.len(), delta: *delta }),
             },
         }
     }
@@ -103,11 +95,6 @@ fn regular_shape_parameter(n_vertices: usize) -> f64 {
     n * (PI / n).tan() / PI
 }
 
-/// Area of a convex polygon with a shell of width δ/2 around it.
-fn rounded_area(area: f64, perimeter: f64, delta: f64) -> f64 {
-    area + 0.5 * delta * perimeter + 0.25 * PI * delta * delta
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -118,7 +105,7 @@ mod tests {
         let n = vertices.len();
         let edge = |i: usize| [vertices[(i + 1) % n][0] - vertices[i][0], vertices[(i + 1) % n][1] - vertices[i][1]];
         let polygon = Polygon { edges: (0..n).map(edge).collect() };
-        Shape::of(&Outline::Polygon { polygon, rest_area, delta, overlap: 0.0 })
+        Shape::of(&Outline::Polygon { polygon, rest_area, delta })
     }
 
     fn regular(n: usize) -> Vec<Vec2> {

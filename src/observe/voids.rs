@@ -90,7 +90,7 @@ impl VoidStatistics {
     }
 
     /// The part of the box that voids and slivers fill.
-    fn filled(&self, pbox: &PeriodicBox) -> f64 {
+    pub(super) fn filled(&self, pbox: &PeriodicBox) -> f64 {
         (self.area + self.sliver_area) / pbox.area()
     }
 

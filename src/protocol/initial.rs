@@ -1,7 +1,7 @@
 use super::ProtocolError;
 use crate::comm::Comm;
 use crate::engine::System;
-use crate::geometry::{Frac, PeriodicBox};
+use crate::geometry::{Frac, PeriodicBox, rounded_area};
 use crate::minimize::{Fire, Goal, Minimized, Minimizer};
 use crate::model::SoftDisks;
 use crate::particles::{Bodies, Particles};
@@ -34,7 +34,7 @@ impl Species {
         }
         let n = self.n_vertices as f64;
         let perimeter = (4.0 * n * (PI / n).tan() * self.size).sqrt();
-        self.size + 0.5 * delta * perimeter + 0.25 * PI * delta * delta
+        rounded_area(self.size, perimeter, delta)
     }
 }
 
