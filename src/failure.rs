@@ -103,7 +103,7 @@ impl From<ProtocolError> for Failure {
     fn from(error: ProtocolError) -> Self {
         match error {
             ProtocolError::Engine(error) => error.into(),
-            ProtocolError::Unconverged { .. } | ProtocolError::NoOnset { .. } => {
+            ProtocolError::Unconverged { .. } | ProtocolError::NoStart { .. } | ProtocolError::NoOnset { .. } => {
                 Failure::NotConverged(error.to_string())
             }
         }

@@ -16,28 +16,6 @@ fn between<M: Model>(model: &M) -> f64 {
     push.max(least).min(most)
 }
 
-/// Densities at which a compression is sampled.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Increments {
-    /// These distances above the onset, ascending.
-    Above(Vec<f64>),
-    /// Steps of a given size from the onset up to a density.
-    Until { density: f64, step: f64 },
-}
-
-impl Increments {
-    /// The densities to visit, ascending, for a packing whose onset is at `onset`.
-    pub fn densities(&self, onset: f64) -> Vec<f64> {
-        match self {
-            Increments::Above(increments) => increments.iter().map(|d| onset + d).collect(),
-            Increments::Until { density, step } => {
-                let n = ((density - onset) / step).ceil().max(0.0) as usize;
-                (1..=n).map(|k| (onset + k as f64 * step).min(*density)).collect()
-            }
-        }
-    }
-}
-
 /// Sets the density of the present particles by changing the box (centres move affinely, particles as rigid wholes),
 /// then minimises; a change too large for rigid outlines is made in several such steps, all but the last relaxed roughly.
 /// The density after that differs a little for deformable particles, whose shells grow as they deform.
@@ -59,20 +37,5 @@ pub fn compress_to<M: Model>(
             Minimized::Converged(report) => tracing::debug!(density = next, report.iterations, "on the way"),
             Minimized::Unconverged(report) => return Err(ProtocolError::Unconverged { density: next, report }),
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn densities_ascend_to_the_end() {
-        let until = Increments::Until { density: 0.95, step: 0.04 };
-        let d = until.densities(0.84);
-        assert_eq!(d.len(), 3);
-        assert!((d[0] - 0.88).abs() < 1e-15 && d[2] == 0.95);
-        assert!(until.densities(0.96).is_empty());
-        assert_eq!(Increments::Above(vec![0.01, 0.1]).densities(0.5), [0.51, 0.6]);
     }
 }

@@ -96,7 +96,7 @@ pub fn deformable_particles(
     // forces of 1e-6 ε/σ are overlaps of 1e-6 σ, far within the shells
     let goal = Goal { force_tolerance: 1e-6 / smallest, max_iterations: 100_000 };
     if let Minimized::Unconverged(report) = Fire.minimize(&mut system, &goal)? {
-        return Err(ProtocolError::Unconverged { density: system.density()?, report });
+        return Err(ProtocolError::NoStart { density: system.density()?, report });
     }
     let centers = system.own_particles();
     let mut polygons = Particles::empty(&Bodies::Polygons { first: vec![0] });

@@ -7,7 +7,7 @@ mod initial;
 mod onset;
 mod shear;
 
-pub use compression::{Increments, compress_to};
+pub use compression::compress_to;
 pub use initial::{Species, deformable_particles, random_disks};
 pub use onset::{Onset, OnsetSearch, find_onset};
 pub use shear::{quasi_static_shear_modulus, shear_by};
@@ -25,6 +25,11 @@ pub enum ProtocolError {
          loosen minimize.force_tolerance or take smaller steps", report.max_force, report.iterations
     )]
     Unconverged { density: f64, report: Report },
+    #[error(
+        "no random start: the disks around particles do not come to rest at density {density:.4}, max|F| = {:.3e} after {} \
+         iterations. Lower initial.packing_fraction", report.max_force, report.iterations
+    )]
+    NoStart { density: f64, report: Report },
     #[error(
         "no onset found: the step has shrunk to {step:.1e} at density {density:.9} while the pressure {pressure:.3e} is \
          not within the window. Widen onset.pressure or lower onset.smallest_step"

@@ -128,7 +128,7 @@ pub fn protocol<M: Model>(
     progress: &Progress,
 ) -> Result<(), Failure> {
     let goal = setup::goal(scene);
-    refuse_crossings(system)?;
+    refuse_crossings(system).map_err(|e| Failure::from(e).and("lower initial.packing_fraction"))?;
     let mut state = State { scene, onset: None, strain: 0.0 };
     if scene.compression.needs_onset() {
         let mut last = Report::default();
