@@ -120,11 +120,13 @@ impl AtOnset {
             let (mut system, onset) = at_onset(n, seed, step, &SETTLED)?;
             let contacts = Contacts::of(&mut system, Rattlers::default())?;
             let backbone = contacts.n_backbone() as f64;
+            // before particles may be stored in another order
+            let hexagons = hexagons(&system, &contacts) as f64;
             let removed = rattler_ids(&system, &contacts);
             let voids = Voids::of(&mut system, &removed, None)?.statistics;
             let [three, four, five, six, _] = voids.fractions();
             let excess = contacts.n_contacts as f64 - (2.0 * backbone - 1.0);
-            let (hexagons, rattlers) = (hexagons(&system, &contacts) as f64, 1.0 - backbone / n as f64);
+            let rattlers = 1.0 - backbone / n as f64;
             Ok([onset.density, excess, hexagons, rattlers, three, four, five, six, voids.border_shape_parameter])
         });
         let packing = |row: &[f64; 9]| {
