@@ -38,6 +38,8 @@ pub enum EngineError {
     Interrupted,
     #[error("the voids found fill {found:.15} of the box, but particles leave {left:.15}: please report this state")]
     Voids { found: f64, left: f64 },
+    #[error("the outlines of voids do not close: please report this state")]
+    OpenVoids,
 }
 
 /// What a run has cost so far, on this rank.

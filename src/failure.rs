@@ -75,6 +75,7 @@ impl From<EngineError> for Failure {
             EngineError::Runaway { .. }
             | EngineError::Crossing(..)
             | EngineError::Voids { .. }
+            | EngineError::OpenVoids
             | EngineError::Moduli { .. } => Failure::Other(error.to_string()),
         }
     }

@@ -158,8 +158,7 @@ impl Voids {
         let is_linked = !system.comm.any(!is_linked);
         let statistics = VoidStatistics::of(&system.comm, &voids);
         if !is_linked {
-            let found = statistics.filled(system.pbox());
-            return Err(EngineError::Voids { found, left: found });
+            return Err(EngineError::OpenVoids);
         }
         if let Some(packing_fraction) = packing_fraction {
             statistics.fill(system.pbox(), packing_fraction)?;
