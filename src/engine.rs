@@ -96,6 +96,8 @@ const STEPS_FORESEEN: f64 = 16.0;
 
 /// Particles wander by less than half a skin between list builds, so that not every build need sort them in space.
 const REBUILDS_PER_SORT: u64 = 8;
+/// Where a box has shrunk, the skin is shortened to what fits its subdomains, at most to this part of it at once.
+const SKIN_LEAST: f64 = 0.1;
 
 /// Particles, their box and potential, and the lists that make forces cheap.
 pub struct System<M: Model> {
@@ -246,7 +248,7 @@ impl<M: Model> System<M> {
         &self.grid
     }
 
-    /// Bytes of this rank's arrays, lists and buffers for one update of the halo: points sent and received.
+    /// Points sent and received by this rank in one update of the halo.
     pub fn halo_points(&self) -> (usize, usize) {
         (self.halo.sent(), self.halo.received())
     }
@@ -525,8 +527,11 @@ impl<M: Model> System<M> {
         let owned_points = self.particles.owned_points();
         let radius = self.comm.max(self.largest_circumradius());
         let widths = self.pbox.widths();
-        let halo = self.model.range(self.largest_size) + self.skin + 2.0 * radius;
-        // the box may have become smaller than foreseen
+        let range = self.model.range(self.largest_size) + 2.0 * radius;
+        // the box may have become smaller since the skin was chosen
+        let room = self.grid.narrowest_width(&self.pbox) - range;
+        self.skin = self.skin.min(room.max(SKIN_LEAST * self.skin));
+        let halo = range + self.skin;
         self.grid.check(&self.pbox, halo)?;
         let margin = widths.map(|w| halo / w);
         let Offers { peers, offered, foreign_of_peer } =

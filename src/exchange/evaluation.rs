@@ -36,7 +36,7 @@ pub struct Evaluation {
     pub packing_fraction: f64,
     pub packing_fraction_double_counted: f64,
     pub reduced_number_density: f64,
-    /// Means over all particles; the three are equal for disks.
+    /// Means over all particles that have an area; the three are equal for disks.
     pub shape_parameter: ShapeParameter,
     /// Those with most sides first, then the largest.
     #[serde(skip_serializing_if = "Option::is_none")]

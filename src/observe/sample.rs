@@ -19,7 +19,7 @@ pub struct Sample {
     pub contact_number: f64,
     /// Rattlers count as particles.
     pub voids: VoidStatistics,
-    /// Means over all particles; the three are equal for disks.
+    /// Means over all particles that have an area; the three are equal for disks.
     pub shape_parameter: ShapeParameter,
     /// Mean area of a particle: of its polygon, or of the cut disk.
     pub mean_area: f64,
