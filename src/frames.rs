@@ -54,8 +54,7 @@ pub fn with_frame<L: Look>(
     frame: Frame,
     look: impl FnOnce(&Scene, &Snapshot) -> L,
 ) -> Result<Result<L::Output, L::Error>, Failure> {
-    let k = frame.unwrap_or(results.frames.saturating_sub(1));
-    let snapshot = results.frame(&comm, k)?;
+    let snapshot = snapshot(&comm, results, frame)?;
     let scene = Scene::parse(&results.header.scene, &file.display().to_string(), &[])?;
     let look = look(&scene, &snapshot);
     match &scene.physics {
@@ -118,10 +117,14 @@ pub fn configuration(file: &Path, frame: Frame) -> Result<Configuration, Failure
     })
 }
 
-/// The frame that was asked for, or the last one. Collective.
 fn read(comm: &Comm, file: &Path, frame: Frame) -> Result<(Header, Snapshot), Failure> {
     let results = Results::open(comm, file)?;
-    let k = frame.unwrap_or(results.frames.saturating_sub(1));
-    let snapshot = results.frame(comm, k)?;
+    let snapshot = snapshot(comm, &results, frame)?;
     Ok((results.header, snapshot))
+}
+
+/// The frame that was asked for, or the last one. Collective.
+fn snapshot(comm: &Comm, results: &Results, frame: Frame) -> Result<Snapshot, Failure> {
+    let k = frame.unwrap_or(results.frames.saturating_sub(1));
+    Ok(results.frame(comm, k)?)
 }
