@@ -17,7 +17,7 @@ use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, add};
 use crate::minimize::{Goal, Minimized, Minimizer};
 use crate::model::{Deformable, DeformableParameters, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
-use crate::observe::{Look, check_no_crossing};
+use crate::observe::{Look, check_no_crossing, refuse_crossings};
 use crate::particles::Bodies;
 use serde::Serialize;
 
@@ -79,10 +79,10 @@ trait Task {
 fn with_system<T: Task>(comm: Comm, text: &str, origin: &str, task: T) -> Result<T::Output, ExchangeError> {
     let refuse = |problem| ExchangeError::Input { origin: origin.to_string(), problem };
     let input = Configuration::read(text).map_err(refuse)?;
-    let outcome = match &input {
+    match &input {
         Configuration::Sp { diameters, epsilon, .. } => {
             let smallest = diameters.iter().copied().fold(f64::INFINITY, f64::min);
-            start(comm, SoftDisks { epsilon: *epsilon, smallest }, T::SKIN * smallest, input, task)
+            start(comm, SoftDisks { epsilon: *epsilon, smallest }, T::SKIN * smallest, input, origin, task)
         }
         Configuration::Dp { line_tension, k_area, epsilon, delta, contact, n_vertices, a0, .. } => {
             let parameters = DeformableParameters {
@@ -93,15 +93,15 @@ fn with_system<T: Task>(comm: Comm, text: &str, origin: &str, task: T) -> Result
             };
             let skin = T::SKIN * delta;
             match contact {
-                ContactForm::VertexEdge => start(comm, Deformable::<VertexEdge>::new(parameters), skin, input, task),
-                ContactForm::EdgeEdge => start(comm, Deformable::<EdgeEdge>::new(parameters), skin, input, task),
+                ContactForm::VertexEdge => {
+                    start(comm, Deformable::<VertexEdge>::new(parameters), skin, input, origin, task)
+                }
+                ContactForm::EdgeEdge => {
+                    start(comm, Deformable::<EdgeEdge>::new(parameters), skin, input, origin, task)
+                }
             }
         }
-    };
-    outcome.map_err(|source| match source {
-        EngineError::Crossing(a, b) => refuse(Problem::Crossing { particles: [a, b] }),
-        source => ExchangeError::Engine { origin: origin.to_string(), source },
-    })
+    }
 }
 
 fn start<M: Model, T: Task>(
@@ -109,20 +109,20 @@ fn start<M: Model, T: Task>(
     model: M,
     skin: f64,
     input: Configuration,
+    origin: &str,
     task: T,
-) -> Result<T::Output, EngineError> {
+) -> Result<T::Output, ExchangeError> {
+    let fail = |source| ExchangeError::Engine { origin: origin.to_string(), source };
     let pbox = input.pbox();
     let particles = input.particles(comm.rank(), comm.size());
-    let mut system = System::new(comm, model, pbox, &pbox, particles, skin)?;
-    refuse_crossings(&mut system)?;
-    task.run(input, system)
-}
-
-fn refuse_crossings<M: Model>(system: &mut System<M>) -> Result<(), EngineError> {
-    match check_no_crossing(system)? {
-        Some((a, b)) => Err(EngineError::Crossing(a, b)),
-        None => Ok(()),
+    let mut system = System::new(comm, model, pbox, &pbox, particles, skin).map_err(fail)?;
+    if let Some((a, b)) = check_no_crossing(&mut system).map_err(fail)? {
+        return Err(ExchangeError::Input {
+            origin: origin.to_string(),
+            problem: Problem::Crossing { particles: [a, b] },
+        });
     }
+    task.run(input, system).map_err(fail)
 }
 
 struct Evaluate<'a> {

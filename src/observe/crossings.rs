@@ -21,6 +21,14 @@ pub fn check_no_crossing<M: Model>(system: &mut System<M>) -> Result<Option<(u32
     Ok(lowest.filter(|&word| word != u64::MAX).map(|word| ((word >> 32) as u32, word as u32)))
 }
 
+/// Fails if [`check_no_crossing`] finds something. Collective.
+pub fn refuse_crossings<M: Model>(system: &mut System<M>) -> Result<(), EngineError> {
+    match check_no_crossing(system)? {
+        Some((a, b)) => Err(EngineError::Crossing(a, b)),
+        None => Ok(()),
+    }
+}
+
 fn ordered(a: u32, b: u32) -> (u32, u32) {
     (a.min(b), a.max(b))
 }
@@ -91,6 +99,7 @@ mod tests {
     use crate::geometry::PeriodicBox;
     use crate::model::{Deformable, DeformableParameters, Harmonic, VertexEdge};
     use crate::particles::Particles;
+    use std::f64::consts::TAU;
 
     fn check(pbox: PeriodicBox, polygons: &[Vec<Vec2>]) -> Option<(u32, u32)> {
         let mut particles = Particles::empty(&Bodies::Polygons { first: vec![0] });
@@ -121,6 +130,24 @@ mod tests {
         // one inside the other, either way round
         assert_eq!(check(pbox, &[square(0.0, 0.0, 1.0), square(0.3, 0.3, 0.2)]), Some((0, 1)));
         assert_eq!(check(pbox, &[square(0.3, 0.3, 0.2), square(0.0, 0.0, 1.0)]), Some((0, 1)));
+    }
+
+    #[test]
+    fn outlines_on_each_other() {
+        let pbox = PeriodicBox::square(8.0);
+        for first in 0..4 {
+            // from whichever vertex they are given
+            let mut other = square(1.5, 1.0, 1.0);
+            other.rotate_left(first);
+            assert_eq!(check(pbox, &[square(1.0, 1.0, 1.0), other]), Some((0, 1)));
+            let mut same = square(1.0, 1.0, 1.0);
+            same.rotate_left(first);
+            assert_eq!(check(pbox, &[square(1.0, 1.0, 1.0), same]), Some((0, 1)));
+        }
+        let corner = |k: usize| [4.0 + (0.3 + k as f64 * TAU / 17.0).cos(), 4.0 + (0.3 + k as f64 * TAU / 17.0).sin()];
+        let polygon: Vec<Vec2> = (0..17).map(corner).collect();
+        assert_eq!(check(pbox, &[polygon.clone(), polygon]), Some((0, 1)));
+        assert_eq!(check(pbox, &[square(1.0, 1.0, 1.0), square(1.5, 2.0, 1.0)]), None);
     }
 
     #[test]

@@ -9,12 +9,12 @@ pub mod setup;
 mod table;
 
 use crate::comm::Comm;
-use crate::engine::{EngineError, System, Watch};
+use crate::engine::{System, Watch};
 use crate::failure::Failure;
 use crate::minimize::{ConjugateGradient, Fire, Minimizer, Newton, Report};
 use crate::model::{EdgeEdge, Model, VertexEdge};
-use crate::observe::{Moduli, OnsetBracket, PerParticle, Rattlers, Sample, check_no_crossing};
-use crate::output::Folder;
+use crate::observe::{Moduli, OnsetBracket, PerParticle, Rattlers, Sample, refuse_crossings};
+use crate::output::{Folder, print};
 use crate::protocol::{Onset, compress_to, find_onset, shear_by};
 use crate::scene::{Contact, Method, Physics, Scene};
 use checkpoint::{Checkpoints, Signals};
@@ -181,11 +181,4 @@ fn sample<M: Model>(
     let density = system.density()?;
     records.append(system, density, sample, &columns)?;
     Ok(sample.pressure())
-}
-
-fn refuse_crossings<M: Model>(system: &mut System<M>) -> Result<(), Failure> {
-    match check_no_crossing(system)? {
-        None => Ok(()),
-        Some((a, b)) => Err(EngineError::Crossing(a, b).into()),
-    }
 }
