@@ -8,8 +8,8 @@ use crate::exchange;
 use crate::failure::{Failure, exit};
 use crate::frames::{self, Frame};
 use crate::minimize::{ConjugateGradient, Fire, Goal, Minimized, Newton, Report};
-use crate::output::folder::write_whole;
-use crate::output::info;
+use crate::output::folder::{can_be_written, write_whole};
+use crate::output::{self, info};
 use crate::profile;
 use crate::run;
 use crate::scene::{self, Method, Scene};
@@ -20,7 +20,8 @@ use std::path::Path;
 /// Does what the flags say and returns the exit code, the same on all ranks.
 pub fn dispatch(session: &Session, cli: Cli) -> u8 {
     let is_root = session.world().is_root();
-    let outcome = start(&cli.settings, is_root).and_then(|()| execute(session, &cli));
+    let started = session.world().agree(start(&cli.settings, is_root));
+    let outcome = started.and_then(|()| execute(session, &cli));
     if cli.settings.profile && !matches!(outcome, Err(Failure::Input(_))) {
         let table = costs::table(&session.world());
         if is_root {
@@ -71,6 +72,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             print(&comm, &String::from_utf8_lossy(&list))
         }
         Some(Command::Evaluate { file, frame, with, output }) => {
+            output.as_deref().map_or(Ok(()), |output| expect_to_write(&comm, output))?;
             let text = read_configuration(&comm, file, *frame)?;
             let evaluation = exchange::evaluate(comm, &text, &file.display().to_string(), with)?;
             match output {
@@ -79,6 +81,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             }
         }
         Some(Command::Minimize { file, frame, output, method, force_tolerance, max_iterations }) => {
+            expect_to_write(&comm, output)?;
             let text = read_configuration(&comm, file, *frame)?;
             let goal = Goal { force_tolerance: *force_tolerance, max_iterations: *max_iterations };
             let origin = file.display().to_string();
@@ -91,6 +94,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             report(outcome, &goal, output)
         }
         Some(Command::Analyze { file, frame, all, output }) => {
+            output.as_deref().map_or(Ok(()), |output| expect_to_write(&comm, output))?;
             let text = text_of_configuration(&comm, file)?;
             if text.is_some() && (*all || frame.is_some()) {
                 let file = file.display();
@@ -116,6 +120,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             if let Some(part) = part.filter(|part| !(*part > 0.0 && *part <= 1.0)) {
                 return Err(Failure::Input(format!("--part {part}: it must be above 0 and not above 1, such as 0.2")));
             }
+            expect_to_write(&comm, output)?;
             frames::render(comm, file, *frame, *color_by, *part, output)
         }
         Some(Command::Info { file }) => {
@@ -141,10 +146,11 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
 fn check(session: &Session, effort: Effort) -> Result<(), Failure> {
     let comm = session.world();
     print(&comm, &validate::header())?;
+    let mut printed = Ok(());
     let checks = validate::run(&|| session.world(), effort, |check| {
-        // nothing can be done about a reader that has gone away
-        let _ = print(&comm, &validate::line(check));
+        printed = printed.clone().and(print(&comm, &validate::line(check)));
     })?;
+    printed?;
     let failed: Vec<&str> = checks.iter().filter(|check| !check.passes()).map(|check| check.name.as_str()).collect();
     if failed.is_empty() {
         return print(&comm, &format!("all {} checks pass\n", checks.len()));
@@ -248,20 +254,23 @@ fn read_text(comm: &Comm, file: &Path) -> Result<String, Failure> {
     Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
-/// Prints on rank 0. A reader that has gone away, as in `jamhpc init | head`, is no error.
+/// Prints on rank 0.
 fn print(comm: &Comm, text: &str) -> Result<(), Failure> {
-    if comm.is_root() {
-        let _ = std::io::Write::write_all(&mut std::io::stdout(), text.as_bytes());
-    }
-    Ok(())
+    Ok(output::print(comm, text)?)
 }
 
 /// Writes a file on rank 0, whole or not at all.
 fn write(comm: &Comm, file: &Path, text: &str) -> Result<(), Failure> {
     comm.from_root(|| {
-        let written = write_whole(file, text.as_bytes()).map(|()| Vec::new());
-        written.map_err(|e| Failure::Input(e.to_string()))
+        write_whole(file, text.as_bytes())?;
+        Ok::<_, Failure>(Vec::new())
     })?;
+    Ok(())
+}
+
+/// Refuses a file for results that cannot be written, before they are computed.
+fn expect_to_write(comm: &Comm, file: &Path) -> Result<(), Failure> {
+    comm.from_root(|| can_be_written(file).map(|()| Vec::new()).map_err(|e| Failure::Input(e.to_string())))?;
     Ok(())
 }
 

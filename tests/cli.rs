@@ -382,6 +382,11 @@ fn a_folder_that_cannot_be_written_is_refused_before_any_work() {
     place.refuses(&["run", "scene.toml", "-o", "file"], &["file"]);
     place.refuses(&["run", "scene.toml", "-o", "file/below"], &["file/below"]);
     place.refuses(&["run", "scene.toml", "-o", "/proc/nothing"], &["/proc/nothing"]);
+    // so early that nothing is known of the input yet
+    for command in ["evaluate", "minimize", "analyze", "render"] {
+        place.refuses(&[command, "missing.json", "-o", "nowhere/out.svg"], &["nowhere/out.svg", "check the path"]);
+    }
+    place.refuses(&["evaluate", "missing.json", "-o", "."], &["cannot write .", "name a file"]);
 }
 
 #[test]

@@ -1,9 +1,10 @@
 use crate::comm::Comm;
+use serde::{Deserialize, Serialize};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 /// Why a file could not be written or read. All ranks get the same value.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
 pub enum OutputError {
     #[error("cannot write {}: {reason}", path.display())]
     Write { path: PathBuf, reason: String },

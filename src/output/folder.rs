@@ -65,6 +65,7 @@ pub fn explain(error: &std::io::Error) -> String {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space or choose another file system",
         ErrorKind::NotFound => "check the path",
         ErrorKind::AlreadyExists | ErrorKind::NotADirectory => "a file stands where a folder is wanted",
+        ErrorKind::IsADirectory => "name a file in it",
         _ => return error.to_string(),
     };
     format!("{error}; {advice}")
@@ -90,8 +91,7 @@ pub(super) fn make_way(path: &Path) -> std::io::Result<Option<PathBuf>> {
 
 /// Writes a small file at once: nobody ever sees it half-written, and an older one stays until the new one is whole.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let part = path.with_file_name(format!(".{name}.part"));
+    let part = part_of(path);
     let written = File::create(&part)
         .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
         .and_then(|()| fs::rename(&part, path));
@@ -99,6 +99,21 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
         let _ = fs::remove_file(&part); // it may never have come to be
         OutputError::write(path, explain(&e))
     })
+}
+
+/// Whether [`write_whole`] can begin to write a file: asked before what is to be in it is computed.
+pub fn can_be_written(path: &Path) -> Result<(), OutputError> {
+    let part = part_of(path);
+    let tried = match path.is_dir() {
+        true => Err(ErrorKind::IsADirectory.into()),
+        false => File::create(&part).and_then(|_| fs::remove_file(&part)),
+    };
+    tried.map_err(|e| OutputError::write(path, explain(&e)))
+}
+
+fn part_of(path: &Path) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!(".{name}.part"))
 }
 
 /// Makes sure that a file can grow by `bytes`. Parallel writes to a full file system may be lost without an error or

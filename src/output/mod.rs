@@ -10,6 +10,7 @@ pub mod plot;
 pub mod read;
 pub mod render;
 mod rows;
+mod stdout;
 pub mod tables;
 
 pub use checkpoint::{Record, read_records, write_records};
@@ -18,3 +19,4 @@ pub use folder::Folder;
 pub use h5md::{Frame, Header, ResultsFile};
 pub use info::info;
 pub use read::{Results, Snapshot};
+pub use stdout::print;

@@ -60,14 +60,17 @@ pub type Contents = (Vec<(String, String)>, Vec<Table>);
 /// Replaces the file at once: an older one stays until the new one is on the disk.
 pub fn write_tables(path: &Path, texts: &[(&str, &str)], tables: &[Table]) -> Result<(), OutputError> {
     let part = path.with_extension("h5.part");
-    try_write(&part, texts, tables).map_err(|e| OutputError::write(path, e))?;
     let publish = || -> std::io::Result<()> {
         std::fs::File::open(&part)?.sync_all()?;
         std::fs::rename(&part, path)?;
         let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
         std::fs::File::open(folder)?.sync_all()
     };
-    publish().map_err(|e| OutputError::write(path, explain(&e)))
+    let written = try_write(&part, texts, tables).map_err(|e| e.to_string());
+    written.and_then(|()| publish().map_err(|e| explain(&e))).map_err(|reason| {
+        let _ = std::fs::remove_file(&part); // it may never have come to be
+        OutputError::write(path, reason)
+    })
 }
 
 fn try_write(part: &Path, texts: &[(&str, &str)], tables: &[Table]) -> hdf5::Result<()> {

@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::geometry::PeriodicBox;
 use crate::minimize::{Goal, Minimized, Minimizer, Report, TURN};
 use crate::model::Model;
-use crate::output::folder::write_whole;
+use crate::output::folder::{explain, write_whole};
 use crate::output::{OutputError, Record, read_records, write_records};
 use crate::particles::{Bodies, Particles};
 use crate::scene::Scene;
@@ -396,14 +396,14 @@ impl List {
     fn write<M: Model>(&mut self, system: &System<M>, memory: &[u64]) -> Result<(), OutputError> {
         let comm = &system.comm;
         let place = self.folder.join(SCENE);
-        let begin = || -> Result<Vec<u8>, String> {
+        comm.from_root(|| {
             if !place.exists() {
-                fs::create_dir_all(&self.folder).map_err(|e| e.to_string())?;
-                write_whole(&place, signed(&self.scene).as_bytes()).map_err(|e| e.to_string())?;
+                fs::create_dir_all(&self.folder)
+                    .map_err(|e| OutputError::Write { path: self.folder.clone(), reason: explain(&e) })?;
+                write_whole(&place, signed(&self.scene).as_bytes())?;
             }
-            Ok(Vec::new())
-        };
-        comm.from_root(begin).map_err(|reason| OutputError::Write { path: place.clone(), reason })?;
+            Ok::<_, OutputError>(Vec::new())
+        })?;
         if !self.fresh.is_empty() {
             write_records(comm, &self.done(), &self.fresh, None)?;
             self.saved += self.fresh.len();

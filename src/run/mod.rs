@@ -87,10 +87,14 @@ fn keep<M: Model>(
     minimizer: &impl Minimizer,
     Keep { scene, resume, speaks }: Keep,
 ) -> Result<(), Failure> {
+    // held until the end of the run, and before anything that another run has there is judged
+    let hold = |comm: &Comm| {
+        Folder::prepare(comm, Path::new(&scene.output.directory)).map_err(|e| Failure::Input(e.to_string()))
+    };
+    let held = if resume { None } else { Some(hold(&system.comm)?) };
     let checkpoints = Checkpoints::new(&system.comm, minimizer, scene, resume)?;
-    let directory = Path::new(&scene.output.directory);
-    // held until the end of the run
-    let folder = Folder::prepare(&system.comm, directory).map_err(|e| Failure::Input(e.to_string()))?;
+    // a run that has nothing to resume leaves no folder
+    let folder = held.map_or_else(|| hold(&system.comm), Ok)?;
     let progress = Progress::new(speaks && system.comm.is_root());
     let (speaker, unit) = (progress.clone(), system.model.force_unit());
     let told = Box::new(move |forces, max_force| speaker.relaxing(forces, max_force / unit));
@@ -108,12 +112,13 @@ fn keep<M: Model>(
     if kept.is_ok() && matches!(outcome, Ok(()) | Err(Failure::NotConverged(_))) {
         checkpoints.remove(&system.comm);
     }
-    match outcome {
-        Ok(()) => kept,
-        Err(failure) if kept.is_ok() => {
+    match (outcome, kept) {
+        (Ok(()), kept) => Ok(print(&system.comm, &kept?)?),
+        (Err(failure), Ok(text)) => {
+            let _ = print(&system.comm, &text); // the failure of the run is what is to be known
             Err(failure.and(&format!("{} samples until then are kept", records.n_samples())))
         }
-        Err(failure) => Err(failure),
+        (Err(failure), Err(_)) => Err(failure),
     }
 }
 

@@ -43,14 +43,15 @@ impl Records {
         self.samples.len()
     }
 
-    /// Gives the results file its name, marked with the failure if there was one; then draws and prints.
+    /// Gives the results file its name, marked with the failure if there was one, and draws. Answers what is to be said of
+    /// it, on rank 0.
     pub fn finish<M: Model>(
         &mut self,
         system: &mut System<M>,
         scene: &Scene,
         folder: &Folder,
         failure: Option<&Failure>,
-    ) -> Result<(), Failure> {
+    ) -> Result<String, Failure> {
         let _output = profile::enter(Phase::Output);
         let mut written = vec![RESULTS];
         let mut moved = None;
@@ -68,11 +69,8 @@ impl Records {
             system.comm.from_root(|| self.plot(folder).map(|()| Vec::new()))?;
             written.extend(PLOTS);
         }
-        if system.comm.is_root() {
-            self.print(scene);
-            print_files(folder, &written, moved);
-        }
-        Ok(())
+        let is_root = system.comm.is_root();
+        Ok(if is_root { self.table(scene) + &table_of_files(folder, &written, moved) } else { String::new() })
     }
 
     fn plot(&self, folder: &Folder) -> Result<(), Failure> {
@@ -82,13 +80,10 @@ impl Records {
         PLOTS.iter().try_for_each(|name| Ok(write_plot(&folder.file(name), &series)?))
     }
 
-    fn print(&self, scene: &Scene) {
-        if let Some(onset) = &self.onset {
-            println!("{}", table::onset_line(scene.model(), onset));
-        }
-        if !self.samples.is_empty() {
-            print!("{}", table::table(scene, &self.samples));
-        }
+    fn table(&self, scene: &Scene) -> String {
+        let onset = self.onset.as_ref().map(|onset| table::onset_line(scene.model(), onset) + "\n");
+        let samples = (!self.samples.is_empty()).then(|| table::table(scene, &self.samples));
+        onset.into_iter().chain(samples).collect()
     }
 }
 
@@ -128,14 +123,12 @@ pub fn scalars(density: f64, sample: &Sample) -> Vec<(&'static str, f64)> {
 }
 
 /// What was written, with sizes.
-fn print_files(folder: &Folder, names: &[&str], moved: Option<PathBuf>) {
-    println!();
-    for name in names {
+fn table_of_files(folder: &Folder, names: &[&str], moved: Option<PathBuf>) -> String {
+    let line = |name: &&str| {
         let path = folder.file(name);
         let bytes = std::fs::metadata(&path).map_or(0, |m| m.len());
-        println!("{:>9.1} kB  {}", bytes as f64 / 1e3, path.display());
-    }
-    if let Some(moved) = moved {
-        println!("older results are now {}", moved.display());
-    }
+        format!("{:>9.1} kB  {}\n", bytes as f64 / 1e3, path.display())
+    };
+    let moved = moved.map(|moved| format!("older results are now {}\n", moved.display()));
+    std::iter::once("\n".to_owned()).chain(names.iter().map(line)).chain(moved).collect()
 }
