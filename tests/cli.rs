@@ -686,6 +686,33 @@ fn ended_by(signal: &str) {
 }
 
 #[test]
+fn a_run_keeps_its_folder_to_itself() {
+    let place = Place::in_memory(INTERRUPTED[0]);
+    let mut running = place.spawn(&RUN);
+    running.until(|| place.path().join("out/checkpoint/scene.toml").exists());
+    place.jamhpc(&RUN).is_refusal(&["out", "another run"]);
+    running.signal("KILL");
+    running.end();
+    place.jamhpc(&RUN).is_refusal(&["out/checkpoint", "--resume"]);
+}
+
+#[test]
+fn a_standard_output_that_takes_nothing_is_told_of() {
+    let place = Place::with("scene.toml", QUICK_SP);
+    let jamhpc = |arguments: &[&str]| place.command(env!("CARGO_BIN_EXE_jamhpc"), arguments);
+    for arguments in [&["run", "scene.toml", "-o", "out"] as &[&str], &["info", "out/results.h5"]] {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let outcome = Outcome::from(jamhpc(arguments).stdout(full).output().unwrap());
+        outcome.fails_with(1, &["the standard output", "No space left"]);
+    }
+    assert!(!place.path().join("out/checkpoint").exists(), "the run has come to its end");
+    // a reader that has gone away does not want it
+    let mut child = jamhpc(&["info", "out/results.h5"]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    Outcome::from(child.wait_with_output().unwrap()).succeeds();
+}
+
+#[test]
 fn a_full_disk_leaves_the_checkpoint_before() {
     let place = Place::in_memory(INTERRUPTED[0]);
     let undisturbed = Place::in_memory(INTERRUPTED[0]);
