@@ -61,7 +61,7 @@ const PRESSED: f64 = 1e-2;
 const FINE: f64 = 1e-5;
 /// Either may come to nothing, conjugate gradients where outlines only just touch, FIRE where an edge has become so short
 /// that its tension is stiffer than contacts: not more than so many iterations at once where Newton steps can go on.
-const PATIENCE: u64 = 50_000;
+const PATIENCE: u64 = 10_000;
 /// Largest overlap of contacts, over [`Model::step_cap`], that forces may tell of for a change to count as small.
 const SMALL: f64 = 0.1;
 
