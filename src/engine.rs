@@ -528,9 +528,11 @@ impl<M: Model> System<M> {
         let radius = self.comm.max(self.largest_circumradius());
         let widths = self.pbox.widths();
         let range = self.model.range(self.largest_size) + 2.0 * radius;
-        // the box may have become smaller since the skin was chosen
-        let room = self.grid.narrowest_width(&self.pbox) - range;
-        self.skin = self.skin.min(room.max(SKIN_LEAST * self.skin));
+        // the box may have become smaller since the skin was chosen; that of bodies is how far Newton steps look, and stays
+        if !M::BODIES {
+            let room = self.grid.narrowest_width(&self.pbox) - range;
+            self.skin = self.skin.min(room.max(SKIN_LEAST * self.skin));
+        }
         let halo = range + self.skin;
         self.grid.check(&self.pbox, halo)?;
         let margin = widths.map(|w| halo / w);
