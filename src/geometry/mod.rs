@@ -16,7 +16,7 @@ pub use exposure::{Exposed, Exposure, Hidden};
 pub use frac::Frac;
 pub use periodic_box::{PeriodicBox, Region};
 pub use polygon::{Polygon, rounded_area};
-pub use segment::{closest_on_segment, segments_cross};
+pub use segment::{closest_on_segment, segments_cross, segments_run_together};
 
 /// A vector in the plane, components along x and y, in the scene's unit of length unless said otherwise.
 pub type Vec2 = [f64; 2];

@@ -1,5 +1,5 @@
 use super::{Candidates, EdgeCells, PointList, Rows};
-use crate::geometry::{closest_on_segment, dot, scale, segments_cross, sub};
+use crate::geometry::{closest_on_segment, dot, scale, segments_cross, segments_run_together, sub};
 
 /// An edge of another particle near one of ours.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,7 +17,8 @@ pub struct EdgeEdgeList {
 }
 
 impl EdgeEdgeList {
-    /// All pairs of edges closer than `range`; crossing ones are at distance zero.
+    /// All pairs of edges closer than `range`; those that cross or lie on each other with the insides of their outlines on the
+    /// same side are there at range zero, too.
     pub fn new(candidates: &Candidates, range: f64) -> Self {
         let cells = EdgeCells::new(candidates, range);
         let particles = candidates.particles;
@@ -34,7 +35,7 @@ impl EdgeEdgeList {
     }
 }
 
-/// Whether two edges come closer than `range`, or cross.
+/// Whether two edges come closer than `range`, or cross, or lie on each other as no edges of outlines do that are apart.
 fn is_near(cells: &EdgeCells, a: &super::Edge, b: &super::Edge, range: f64) -> bool {
     let position = &cells.candidates.particles.position;
     let apart = cells.candidates.pbox.displacement(position[b.ends[0] as usize], position[a.ends[0] as usize]);
@@ -48,6 +49,7 @@ fn is_near(cells: &EdgeCells, a: &super::Edge, b: &super::Edge, range: f64) -> b
         || near([-apart[0], -apart[1]], v)
         || near(sub(u, apart), v)
         || segments_cross(apart, u, v)
+        || segments_run_together(apart, u, v)
 }
 
 impl PointList for EdgeEdgeList {
