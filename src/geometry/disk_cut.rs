@@ -8,7 +8,7 @@ use super::{Vec2, dot, norm};
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DiskCut {
     pub area: f64,
-    /// Length of the share's outline: exposed arcs and cut edges.
+    /// Length of the share's outline: exposed arcs and cut edges; all of it for each of equal disks at one place.
     pub perimeter: f64,
 }
 
@@ -47,7 +47,7 @@ pub fn cut_disk(radius: f64, neighbors: &[(Vec2, f64)]) -> DiskCut {
     }
     let arc_length = radius * exposed_angle(&planes, radius);
     cut.area = (cut.area + 0.5 * radius * arc_length) / sharers;
-    cut.perimeter = (cut.perimeter + arc_length) / sharers;
+    cut.perimeter += arc_length;
     cut
 }
 
