@@ -1,10 +1,9 @@
 use crate::comm::Comm;
-use serde::{Deserialize, Serialize};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 /// Why a file could not be written or read. All ranks get the same value.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum OutputError {
     #[error("cannot write {}: {reason}", path.display())]
     Write { path: PathBuf, reason: String },
@@ -13,6 +12,13 @@ pub enum OutputError {
 }
 
 impl OutputError {
+    /// What went wrong, without the path.
+    pub fn reason(self) -> String {
+        match self {
+            OutputError::Write { reason, .. } | OutputError::Read { reason, .. } => reason,
+        }
+    }
+
     pub(super) fn write(path: &Path, reason: impl Display) -> Self {
         OutputError::Write { path: path.to_owned(), reason: reason.to_string() }
     }

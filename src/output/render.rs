@@ -168,9 +168,7 @@ fn save(
         Some("png") => png().map_err(|e| e.to_string())?,
         _ => return Err("pictures are .svg or .png".to_owned()),
     };
-    write_whole(path, &bytes).map_err(|e| match e {
-        OutputError::Write { reason, .. } | OutputError::Read { reason, .. } => reason,
-    })
+    write_whole(path, &bytes).map_err(OutputError::reason)
 }
 
 #[cfg(test)]

@@ -396,14 +396,14 @@ impl List {
     fn write<M: Model>(&mut self, system: &System<M>, memory: &[u64]) -> Result<(), OutputError> {
         let comm = &system.comm;
         let place = self.folder.join(SCENE);
-        comm.from_root(|| {
+        let begin = || -> Result<Vec<u8>, String> {
             if !place.exists() {
-                fs::create_dir_all(&self.folder)
-                    .map_err(|e| OutputError::Write { path: self.folder.clone(), reason: explain(&e) })?;
-                write_whole(&place, signed(&self.scene).as_bytes())?;
+                fs::create_dir_all(&self.folder).map_err(|e| explain(&e))?;
+                write_whole(&place, signed(&self.scene).as_bytes()).map_err(OutputError::reason)?;
             }
-            Ok::<_, OutputError>(Vec::new())
-        })?;
+            Ok(Vec::new())
+        };
+        comm.from_root(begin).map_err(|reason| OutputError::Write { path: place.clone(), reason })?;
         if !self.fresh.is_empty() {
             write_records(comm, &self.done(), &self.fresh, None)?;
             self.saved += self.fresh.len();
