@@ -687,7 +687,7 @@ fn ended_by(signal: &str) {
 
 #[test]
 fn a_run_keeps_its_folder_to_itself() {
-    let place = Place::in_memory(INTERRUPTED[0]);
+    let place = Place::in_memory(&INTERRUPTED[0].replace("128", "8192"));
     let mut running = place.spawn(&RUN);
     running.until(|| place.path().join("out/checkpoint/scene.toml").exists());
     place.jamhpc(&RUN).is_refusal(&["out", "another run"]);

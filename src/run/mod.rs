@@ -9,7 +9,7 @@ pub mod setup;
 mod table;
 
 use crate::comm::Comm;
-use crate::engine::{System, Watch};
+use crate::engine::{EngineError, System, Watch};
 use crate::failure::Failure;
 use crate::minimize::{ConjugateGradient, Fire, Minimizer, Newton, Report};
 use crate::model::{EdgeEdge, Model, VertexEdge};
@@ -87,7 +87,7 @@ fn keep<M: Model>(
     minimizer: &impl Minimizer,
     Keep { scene, resume, speaks }: Keep,
 ) -> Result<(), Failure> {
-    // held until the end of the run, and before anything that another run has there is judged
+    // held until the end of the run; a new one must not judge the checkpoint of another that is still working
     let hold = |comm: &Comm| {
         Folder::prepare(comm, Path::new(&scene.output.directory)).map_err(|e| Failure::Input(e.to_string()))
     };
@@ -133,7 +133,10 @@ pub fn protocol<M: Model>(
     progress: &Progress,
 ) -> Result<(), Failure> {
     let goal = setup::goal(scene);
-    refuse_crossings(system).map_err(|e| Failure::from(e).and("lower initial.packing_fraction"))?;
+    refuse_crossings(system).map_err(|error| match error {
+        EngineError::Crossing(..) => Failure::from(error).and("lower initial.packing_fraction"),
+        other => other.into(),
+    })?;
     let mut state = State { scene, onset: None, strain: 0.0 };
     if scene.compression.needs_onset() {
         let mut last = Report::default();
