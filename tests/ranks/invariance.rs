@@ -149,9 +149,10 @@ pub fn turns_fire(comm: Comm) -> Outcome {
     in_turns(system, Fire, &goal(1e-9, 500), 0)
 }
 
-/// Its Newton steps are interrupted, too, and lists that are younger then must not be seen in its report.
+/// Its Newton steps are interrupted, too, and lists that are younger then must not be seen in its report. As many particles
+/// as it takes for conjugate gradients between the steps.
 pub fn turns_newton(comm: Comm) -> Outcome {
-    let mut system = random_dp::<VertexEdge>(comm, 64, unit_box(0.0), 0.75, 0.95);
+    let mut system = random_dp::<VertexEdge>(comm, 144, unit_box(0.0), 0.75, 0.95);
     let tighter = system.pbox().with_area(0.8 * system.pbox().area());
     system.deform_rigidly(tighter);
     in_turns(system, Newton, &goal(1e-9, 1_000_000), 2)

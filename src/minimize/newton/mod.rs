@@ -26,7 +26,7 @@ use past::Past;
 /// Disks have nothing but contacts: conjugate gradients until they press on each other, then Newton steps.
 ///
 /// Turns end between iterations of FIRE and conjugate gradients, and after Newton steps towards one level, which are made
-/// in one.
+/// in one with what conjugate gradients do between them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Newton;
 

@@ -43,8 +43,8 @@ const SMALL_SYSTEM: u64 = 2000;
 /// that open on the way are left out and those that close are put in, chosen again up to [`CHOICES`] times.
 ///
 /// One step is for the whole system: it ends, and its shift grows, where the worst of its contacts is. What such places are
-/// left with is stiff and local, and gone after some conjugate gradients: with them steps are fewer in large systems. In
-/// small ones and near the onset nothing is gained.
+/// left with is stiff and local, and gone after some conjugate gradients: with them steps are fewer in large systems. Small
+/// ones gain nothing, nor do contacts that are softer yet, near the onset.
 ///
 /// Particles that roll on each other, the softest motions, move on curves, and a straight step of length s pushes stiff
 /// contacts and areas by s² times the curvature: it ends where that costs more than the soft motion gains. So the way
