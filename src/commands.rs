@@ -72,16 +72,13 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             print(&comm, &String::from_utf8_lossy(&list))
         }
         Some(Command::Evaluate { file, frame, with, output }) => {
-            output.as_deref().map_or(Ok(()), |output| expect_to_write(&comm, output))?;
+            expect_to_write(&comm, output.as_deref())?;
             let text = read_configuration(&comm, file, *frame)?;
             let evaluation = exchange::evaluate(comm, &text, &file.display().to_string(), with)?;
-            match output {
-                None => print(&session.world(), &evaluation),
-                Some(output) => write(&session.world(), output, &evaluation),
-            }
+            give(&session.world(), output.as_deref(), &evaluation)
         }
         Some(Command::Minimize { file, frame, output, method, force_tolerance, max_iterations }) => {
-            expect_to_write(&comm, output)?;
+            expect_to_write(&comm, Some(output))?;
             let text = read_configuration(&comm, file, *frame)?;
             let goal = Goal { force_tolerance: *force_tolerance, max_iterations: *max_iterations };
             let origin = file.display().to_string();
@@ -90,11 +87,11 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
                 Method::Cg => exchange::minimize(comm, &text, &origin, &ConjugateGradient, &goal)?,
                 Method::Newton => exchange::minimize(comm, &text, &origin, &Newton, &goal)?,
             };
-            write(&session.world(), output, &relaxed)?;
+            give(&session.world(), Some(output), &relaxed)?;
             report(outcome, &goal, output)
         }
         Some(Command::Analyze { file, frame, all, output }) => {
-            output.as_deref().map_or(Ok(()), |output| expect_to_write(&comm, output))?;
+            expect_to_write(&comm, output.as_deref())?;
             let text = text_of_configuration(&comm, file)?;
             if text.is_some() && (*all || frame.is_some()) {
                 let file = file.display();
@@ -103,10 +100,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
                 )));
             }
             let analysis = analysis::analyze(session, file, text.as_deref(), *frame, *all)?;
-            match output {
-                None => print(&comm, &analysis),
-                Some(output) => write(&comm, output, &analysis),
-            }
+            give(&comm, output.as_deref(), &analysis)
         }
         Some(Command::Check { file, frame, force_tolerance }) => {
             let text = text_of_configuration(&comm, file)?;
@@ -120,7 +114,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             if let Some(part) = part.filter(|part| !(*part > 0.0 && *part <= 1.0)) {
                 return Err(Failure::Input(format!("--part {part}: it must be above 0 and not above 1, such as 0.2")));
             }
-            expect_to_write(&comm, output)?;
+            expect_to_write(&comm, Some(output))?;
             frames::render(comm, file, *frame, *color_by, *part, output)
         }
         Some(Command::Info { file }) => {
@@ -259,8 +253,9 @@ fn print(comm: &Comm, text: &str) -> Result<(), Failure> {
     Ok(output::print(comm, text)?)
 }
 
-/// Writes a file on rank 0, whole or not at all.
-fn write(comm: &Comm, file: &Path, text: &str) -> Result<(), Failure> {
+/// Writes a file on rank 0, whole or not at all; prints where none is asked for.
+fn give(comm: &Comm, file: Option<&Path>, text: &str) -> Result<(), Failure> {
+    let Some(file) = file else { return print(comm, text) };
     comm.from_root(|| {
         write_whole(file, text.as_bytes())?;
         Ok::<_, Failure>(Vec::new())
@@ -269,7 +264,8 @@ fn write(comm: &Comm, file: &Path, text: &str) -> Result<(), Failure> {
 }
 
 /// Refuses a file for results that cannot be written, before they are computed.
-fn expect_to_write(comm: &Comm, file: &Path) -> Result<(), Failure> {
+fn expect_to_write(comm: &Comm, file: Option<&Path>) -> Result<(), Failure> {
+    let Some(file) = file else { return Ok(()) };
     comm.from_root(|| can_be_written(file).map(|()| Vec::new()).map_err(|e| Failure::Input(e.to_string())))?;
     Ok(())
 }
