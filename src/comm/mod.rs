@@ -313,3 +313,16 @@ fn note_of(error: &impl Serialize) -> Vec<u8> {
 fn noted<E: DeserializeOwned>(note: &[u8]) -> E {
     serde_json::from_slice(note).expect("an error as another rank wrote it")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_number_spoils_its_own_sum_only() {
+        let terms = [[f64::NAN, 1.0, 1.0], [1.0, f64::INFINITY, 2.0]];
+        let [nan, infinite, three] = Comm::alone().sum_terms(2, |i| terms[i]);
+        assert!(nan.is_nan() && infinite.is_nan());
+        assert_eq!(three, 3.0);
+    }
+}

@@ -37,6 +37,20 @@ pub fn sp(mut comm: Comm) -> Outcome {
     outcome
 }
 
+/// A skin as wide as the subdomains have room for, and a box that shrinks.
+pub fn shrinking_box(comm: Comm) -> Outcome {
+    let system = random_sp(comm, 64, unit_box(0.0), 0.8, 0.8);
+    let (pbox, disks) = (*system.pbox(), system.own_particles());
+    let room = system.grid().narrowest_width(&pbox).min(0.5 * pbox.widths()[0]);
+    let skin = 0.99 * room - system.model.range(system.largest_size());
+    let mut system = System::new(system.comm, DISKS, pbox, &pbox, disks, skin).unwrap();
+    system.max_force().unwrap();
+    system.lay_bare(); // as after each sample: no other skin is chosen for the lists that come next
+    system.deform_rigidly(pbox.with_area(0.9 * pbox.area()));
+    assert!(system.max_force().unwrap() > 0.0);
+    describe(&mut system)
+}
+
 /// Vertex k and edge k → k + 1 of each particle.
 struct Outlines<'a> {
     pbox: &'a PeriodicBox,

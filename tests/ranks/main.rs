@@ -49,6 +49,7 @@ fn main() -> std::process::ExitCode {
         Case::new("lists_sp", lists::sp, RANKS),
         Case::new("lists_dp", lists::dp, RANKS),
         Case::new("changing_box_sp", lists::changing_box_sp, RANKS),
+        Case::new("shrinking_box", lists::shrinking_box, RANKS),
         Case::new("changing_box_dp", lists::changing_box_dp, RANKS),
         Case::new("rebuilds_when_needed", lists::rebuilds_when_needed, ONE_AND_FOUR),
         Case::new("travel_is_measured_in_the_present_box", lists::travel_in_the_present_box, ONE_AND_FOUR),
