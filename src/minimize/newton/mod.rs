@@ -60,8 +60,11 @@ const PRESSED: f64 = 1e-2;
 /// the line searches of conjugate gradients.
 const FINE: f64 = 1e-5;
 /// Either may come to nothing, conjugate gradients where outlines only just touch, FIRE where an edge has become so short
-/// that its tension is stiffer than contacts: not more than so many iterations at once where Newton steps can go on.
+/// that its tension is stiffer than contacts: not more than so many iterations at once where Newton steps can go on. Where
+/// contacts are softest FIRE needs more in larger boxes, as their length: in systems of more points than the other it gets
+/// so many more.
 const PATIENCE: u64 = 10_000;
+const PATIENT_FROM: f64 = 1000.0;
 /// Largest overlap of contacts, over [`Model::step_cap`], that forces may tell of for a change to count as small.
 const SMALL: f64 = 0.1;
 
@@ -79,6 +82,7 @@ impl Minimizer for Newton {
             unit: system.model.force_unit(),
             stiffest: 0.0,
             is_gentle: false,
+            patience: (PATIENCE as f64 * (system.n_points() as f64 / PATIENT_FROM).sqrt().max(1.0)) as u64,
             cholesky: Cholesky::default(),
             report: Report::default(),
             past,
@@ -115,6 +119,8 @@ struct Search<'a> {
     stiffest: f64,
     /// Whether contacts began softer than [`SOFTEST`], as near the onset.
     is_gentle: bool,
+    /// See [`PATIENCE`].
+    patience: u64,
     cholesky: Cholesky,
     report: Report,
     past: Past,
@@ -152,6 +158,7 @@ impl Search<'_> {
                 None => return Ok(false),
             }
         }
+        self.patience = PATIENCE;
         let mut harder = HARDER;
         while level < 1.0 {
             let next = (harder * level).min(1.0);
@@ -193,7 +200,7 @@ impl Search<'_> {
                 return Ok(SOFTEST);
             }
             system.model = at(SOFTEST);
-            let goal = self.goal_of(ROUGH * self.unit, PATIENCE);
+            let goal = self.goal_of(ROUGH * self.unit, self.patience);
             self.relax(system, &Fire, &goal)?;
             let level = (self.push(system)? / (GENTLE * deep)).clamp(GENTLEST, SOFTEST);
             self.is_gentle = level < SOFTEST;
@@ -284,7 +291,7 @@ impl Search<'_> {
         if !M::BODIES {
             return self.relax(system, &ConjugateGradient, goal);
         }
-        let patience = if self.is_fine() { PATIENCE } else { u64::MAX };
+        let patience = if self.is_fine() { self.patience } else { u64::MAX };
         let patient = |left: u64| Goal { max_iterations: left.min(patience), ..*goal };
         let mut left = goal.max_iterations;
         if goal.force_tolerance < FINE * self.unit {
