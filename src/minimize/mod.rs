@@ -53,8 +53,9 @@ impl Minimized {
     }
 }
 
-/// Forces beyond this, in the scene's units, can only come from a broken state.
-const RUNAWAY: f64 = 1e12;
+/// Forces beyond this, in the scene's units, can only come from a broken state: contacts of the stiffest scene, half as
+/// deep as they are wide, push with 10¹².
+const RUNAWAY: f64 = 1e15;
 
 /// Iterations between two looks at the clock and the signals: fewer than some seconds' even of millions of particles, and
 /// enough that looking costs nothing.

@@ -81,10 +81,10 @@ pub fn mean_and_error(numbers: impl Iterator<Item = f64> + Clone) -> [f64; 2] {
 }
 
 /// The median of some numbers and its standard error, half the distance between the order statistics
-/// that are √n/2, one standard deviation of a rank, away on either side. NaN if one of them is.
+/// that are √n/2, one standard deviation of a rank, away on either side. NaN if one of them is, or if there are none.
 fn median_and_error(numbers: impl Iterator<Item = f64>) -> [f64; 2] {
     let mut sorted: Vec<f64> = numbers.collect();
-    if sorted.iter().any(|x| x.is_nan()) {
+    if sorted.is_empty() || sorted.iter().any(|x| x.is_nan()) {
         return [f64::NAN; 2];
     }
     sorted.sort_unstable_by(f64::total_cmp);

@@ -3,7 +3,7 @@
 //!
 //! Every check runs the engine itself, over all ranks, and compares one number with what theory says. A tolerance is
 //! rounding where the formula holds for what is computed; the next power where it is a limit, of hard contacts or many
-//! vertices; and two standard errors and the last digit of the reference where it is a mean over packings.
+//! vertices; where it is a mean over packings, standard errors and what the reference leaves open, as said there.
 
 mod border;
 mod ensemble;

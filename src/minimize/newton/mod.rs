@@ -51,8 +51,9 @@ const ROUGH: f64 = 1e-4;
 /// Contacts harden when forces are balanced to this part of the pressure: below the onset, where nothing touches at the
 /// minimum, soft contacts vanish quickly, and hard ones bounce.
 const BALANCED: f64 = 1e-4;
-/// Forces of shapes are rounded to a tenth of this, in the same unit.
+/// Forces of shapes are rounded to a tenth of this, in the same unit, or in this part of their stiffness if that is more.
 const ROUNDED: f64 = 1e-12;
+const STIFF: f64 = 5e-4;
 /// Particles press on each other where forces are balanced to this part of the pressure: disks are brought to their minimum
 /// by Newton's method from there. Just below the onset they never are: overlaps vanish slowly there, and forces with them.
 const PRESSED: f64 = 1e-2;
@@ -106,7 +107,10 @@ impl Minimizer for Newton {
             return Ok(None);
         }
         let converged = outcome?;
-        let report = search.report;
+        let mut report = search.report;
+        if !converged {
+            report.max_force = system.max_force()?; // not that of softer contacts
+        }
         Ok(Some(if converged { Minimized::Converged(report) } else { Minimized::Unconverged(report) }))
     }
 }
@@ -153,7 +157,8 @@ impl Search<'_> {
         }
         let mut fine = on_the_way;
         if is_fine {
-            match self.balance_softly(system, level)? {
+            let shapes = at(0.0).time_step().powi(-2);
+            match self.balance_softly(system, level, shapes)? {
                 Some(tolerance) => fine = tolerance.clamp(self.goal.force_tolerance, on_the_way),
                 None => return Ok(false),
             }
@@ -217,8 +222,13 @@ impl Search<'_> {
 
     /// Relaxes contacts that are softened to `level` until forces are balanced to a small part of what they push with, or
     /// to what is balance at full stiffness, too; to which force, or `None` if the iterations did not suffice.
-    fn balance_softly<M: Model>(&mut self, system: &mut System<M>, level: f64) -> Result<Option<f64>, EngineError> {
-        let least = (level * self.goal.force_tolerance).max(ROUNDED * self.unit);
+    fn balance_softly<M: Model>(
+        &mut self,
+        system: &mut System<M>,
+        level: f64,
+        shapes: f64,
+    ) -> Result<Option<f64>, EngineError> {
+        let least = (level * self.goal.force_tolerance).max(ROUNDED * self.unit.max(STIFF * shapes));
         let mut tolerance = ON_THE_WAY * self.unit;
         while tolerance > least {
             let push = self.push(system)?;

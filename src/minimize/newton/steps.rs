@@ -30,7 +30,7 @@ const SLOPE: f64 = 0.5;
 /// it would turn by more, up to the other; what turns by yet more is no curve but new contacts, and the bend is shortened.
 const BEND: f64 = 1.0;
 const CURVED: f64 = 30.0;
-/// Force evaluations on the way of one step.
+/// Force evaluations on the way of one step, besides those for its bend.
 const TRIALS: u32 = 12;
 /// Iterations of conjugate gradients after a step that leaves rough forces, in systems of more points than the other.
 const SMOOTHING: u64 = 150;
@@ -42,7 +42,7 @@ const SMALL_SYSTEM: u64 = 2000;
 /// Once that has been met with, steps minimise a quadratic form of the energy in which contacts push one way only: those
 /// that open on the way are left out and those that close are put in, chosen again up to [`CHOICES`] times.
 ///
-/// One step is for the whole system: it ends, and its shift grows, where the worst of its contacts is. What such places are
+/// One step is for the whole system: it ends where the worst of its contacts is. What such places are
 /// left with is stiff and local, and gone after some conjugate gradients: with them steps are fewer in large systems. Small
 /// ones gain nothing, nor do contacts that are softer yet, near the onset.
 ///
