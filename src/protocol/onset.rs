@@ -82,11 +82,10 @@ pub fn find_onset<M: Model>(
         if is_jammed {
             // The pressure of one packing falls linearly towards its onset: aim a little above it. The increment
             // bounds the move, so that a bad extrapolation costs no more than bisection.
+            let target = (search.pressure[0] * search.pressure[1]).sqrt();
             let aim = match jammed {
-                Some((there, then)) if then > pressure && there > density => {
-                    let slope = (there - density) / (then - pressure);
-                    let target = (search.pressure[0] * search.pressure[1]).sqrt();
-                    (pressure - target) * slope
+                Some((there, then)) if then > pressure && there > density && pressure > target => {
+                    (pressure - target) * (there - density) / (then - pressure)
                 }
                 _ => step,
             };
