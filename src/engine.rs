@@ -530,8 +530,16 @@ impl<M: Model> System<M> {
         let range = self.model.range(self.largest_size) + 2.0 * radius;
         // the box may have become smaller since the skin was chosen; that of bodies is how far Newton steps look, and stays
         if !M::BODIES {
+            let (extent, width) = (2.0 * range, widths[0].min(widths[1]));
+            if extent >= width {
+                return Err(EngineError::BoxTooSmall { extent, width });
+            }
             let room = self.grid.narrowest_width(&self.pbox) - range;
             self.skin = self.skin.min(room.max(SKIN_LEAST * self.skin));
+            // lists hold one image of another disk, in a tilted box the nearest one only up to here
+            if self.pbox.xy() != 0.0 {
+                self.skin = self.skin.min(0.5 * width - range);
+            }
         }
         let halo = range + self.skin;
         self.grid.check(&self.pbox, halo)?;
@@ -789,7 +797,7 @@ impl<M: Model> System<M> {
         Ok(parts.concat())
     }
 
-    /// Refreshes a value per point from the owners, own points first; T is two words wide.
+    /// Refreshes a value per point from the owners, own points first; T is some pairs of words wide.
     pub fn share<T: bytemuck::Pod + Default>(&mut self, own: Vec<T>) -> Vec<T> {
         let mut values = own;
         self.refresh(&mut values);
@@ -798,6 +806,7 @@ impl<M: Model> System<M> {
 
     /// The same in place; room for the foreign points is made at the first call.
     pub fn refresh<T: bytemuck::Pod + Default>(&mut self, values: &mut Vec<T>) {
+        let _halo = profile::enter(Phase::Halo);
         values.resize(self.particles.position.len(), T::default());
         self.halo.update(&self.comm, values);
     }

@@ -105,7 +105,7 @@ pub trait Model: Copy + Send + Sync {
     fn list(&self, candidates: &Candidates, skin: f64) -> Self::List;
 
     /// The skin of the next list, given what was measured with the last: how much of a skin the points use up in a step.
-    /// Never wider than `room`; nothing where the first skin is kept.
+    /// Not wider than `room`; nothing where the first skin is kept.
     fn better_skin(&self, _used_per_step: f64, _room: f64) -> Option<f64> {
         None
     }

@@ -3,7 +3,7 @@
 use crate::harness::Outcome;
 use crate::systems::*;
 use jamhpc::comm::Comm;
-use jamhpc::engine::System;
+use jamhpc::engine::{EngineError, System};
 use jamhpc::geometry::{Frac, PeriodicBox, Vec2, closest_on_segment, dot, scale, segments_cross, sub};
 use jamhpc::minimize::{Fire, Minimizer};
 use jamhpc::model::{EdgeEdge, Model, VertexEdge};
@@ -37,7 +37,7 @@ pub fn sp(mut comm: Comm) -> Outcome {
     outcome
 }
 
-/// A skin as wide as the subdomains have room for, and a box that shrinks.
+/// A skin as wide as the subdomains have room for, and a box that shrinks, at last to one that is too small.
 pub fn shrinking_box(comm: Comm) -> Outcome {
     let system = random_sp(comm, 64, unit_box(0.0), 0.8, 0.8);
     let (pbox, disks) = (*system.pbox(), system.own_particles());
@@ -48,7 +48,11 @@ pub fn shrinking_box(comm: Comm) -> Outcome {
     system.lay_bare(); // as after each sample: no other skin is chosen for the lists that come next
     system.deform_rigidly(pbox.with_area(0.9 * pbox.area()));
     assert!(system.max_force().unwrap() > 0.0);
-    describe(&mut system)
+    let outcome = describe(&mut system);
+    // disks that meet both images of another
+    system.deform_rigidly(pbox.with_area(0.02 * pbox.area()));
+    assert!(matches!(system.max_force(), Err(EngineError::BoxTooSmall { .. })));
+    outcome
 }
 
 /// Vertex k and edge k → k + 1 of each particle.
