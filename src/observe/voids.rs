@@ -6,6 +6,7 @@ use crate::geometry::{Frac, PeriodicBox, Polygon, Region, Vec2, add, cross, norm
 use crate::model::Model;
 use crate::neighbor::CellList;
 use crate::particles::Bodies;
+use std::cell::OnceCell;
 use std::f64::consts::PI;
 
 /// A connected part of the box that no particle covers.
@@ -423,7 +424,7 @@ impl<'a> Linked<'a> {
         }
         let open: Vec<usize> = (0..found.len()).filter(|&k| found[k].percolates).collect();
         for (island, at) in outside {
-            let surrounds = |&&k: &&usize| open.len() == 1 || self.surrounds(&found[k], at);
+            let surrounds = |&&k: &&usize| open.len() == 1 || locator.surrounds(self, &found[k], k, at);
             if let Some(&k) = open.iter().find(surrounds) {
                 found[k].islands.push(island);
             }
@@ -467,11 +468,10 @@ impl<'a> Linked<'a> {
         ahead.filter_map(strip).collect()
     }
 
-    /// A line through particles that passes every point outside of all particles as the void's rings do, and
-    /// its first point.
-    fn polygon(&self, rings: &[usize]) -> (Frac, Vec<Vec2>) {
-        let first = self.rings[rings[0]].start;
-        let (mut at, mut place) = ([0.0; 2], first);
+    /// Corners of a line through particles that passes every point outside of all particles as these rings do, from the
+    /// start of the first.
+    fn corners(&self, rings: &[usize]) -> Vec<Vec2> {
+        let (mut at, mut place) = ([0.0; 2], self.rings[rings[0]].start);
         let mut corners = vec![at];
         for &k in rings {
             for chain in self.rings[k].chains.iter().map(|&c| &self.chains[c]) {
@@ -485,27 +485,7 @@ impl<'a> Linked<'a> {
             place = self.rings[k].start;
             corners.push(at);
         }
-        (first, corners)
-    }
-
-    /// Whether a point that no particle covers lies inside a void or on one of its islands.
-    fn surrounds(&self, void: &Around, point: Frac) -> bool {
-        let Some(_) = void.rings.first() else { return true };
-        let (first, corners) = self.polygon(&void.rings);
-        let low = corners.iter().fold([f64::INFINITY; 2], |m, c| [m[0].min(c[0]), m[1].min(c[1])]);
-        let high = corners.iter().fold([f64::NEG_INFINITY; 2], |m, c| [m[0].max(c[0]), m[1].max(c[1])]);
-        let nearest = self.pbox.displacement(point, first);
-        let steps = |low: f64, high: f64, step: f64| (low / step).ceil() as i64..=(high / step).floor() as i64;
-        let mut turns = 0;
-        for row in steps(low[1] - nearest[1], high[1] - nearest[1], self.pbox.ly()) {
-            let x = nearest[0] + row as f64 * self.pbox.xy();
-            for column in steps(low[0] - x, high[0] - x, self.pbox.lx()) {
-                let image = [x + column as f64 * self.pbox.lx(), nearest[1] + row as f64 * self.pbox.ly()];
-                turns -= winding_number(&corners, image);
-            }
-        }
-        let boxes = ((-self.signed_area(&void.rings) - void.area) / self.pbox.area()).round() as i64;
-        turns - boxes > 0
+        corners
     }
 
     fn measured(&self, void: &Around) -> Void {
@@ -532,52 +512,121 @@ struct Around {
     percolates: bool,
 }
 
-/// Finds voids near a point.
+/// Rings that are longer than so many mean ones are looked at from everywhere, the others from nearby.
+const LONG: f64 = 8.0;
+
+/// Finds the voids around a point. The boundaries of those that it has looked at are kept: below the onset many islands
+/// float in one void that is nearly as large as the box.
 struct Locator {
+    boundaries: Vec<OnceCell<Boundary>>,
+    /// Places of voids with short rings, and which voids these are.
     cells: CellList,
+    short: Vec<usize>,
+    long: Vec<usize>,
 }
 
 impl Locator {
     fn new(linked: &Linked, voids: &[Around]) -> Self {
-        let mut centers = Vec::new();
-        let mut reach = f64::MIN_POSITIVE;
-        for void in voids {
-            let ring = &linked.rings[void.rings[0]];
-            centers.push(ring.start);
-            // nothing inside a ring is farther from its start than half its length
-            if !void.percolates {
-                reach = reach.max(0.5 * ring.length);
-            }
+        let ring = |k: usize| &linked.rings[voids[k].rings[0]];
+        let enclosed: Vec<usize> = (0..voids.len()).filter(|&k| !voids[k].percolates).collect();
+        let mean = enclosed.iter().map(|&k| ring(k).length).sum::<f64>() / enclosed.len() as f64;
+        let (short, long): (Vec<usize>, Vec<usize>) =
+            enclosed.into_iter().partition(|&k| ring(k).length <= LONG * mean);
+        let starts: Vec<Frac> = short.iter().map(|&k| ring(k).start).collect();
+        // nothing inside a ring is farther from its start than half its length
+        let reach = short.iter().map(|&k| 0.5 * ring(k).length).fold(f64::MIN_POSITIVE, f64::max);
+        Locator {
+            boundaries: vec![OnceCell::new(); voids.len()],
+            cells: CellList::new(linked.pbox, &Region::whole(), &starts, reach),
+            short,
+            long,
         }
-        Locator { cells: CellList::new(linked.pbox, &Region::whole(), &centers, reach) }
     }
 
     /// The smallest enclosed void around a point that no particle covers.
     fn enclosing(&self, linked: &Linked, voids: &[Around], point: Frac) -> Option<usize> {
         let mut smallest: Option<usize> = None;
-        self.cells.for_each_near(point, |k| {
-            let k = k as usize;
+        let mut look = |k: usize| {
             let is_smaller = smallest.is_none_or(|s| voids[k].area < voids[s].area);
-            if is_smaller && !voids[k].percolates && linked.surrounds(&voids[k], point) {
+            if is_smaller && self.surrounds(linked, &voids[k], k, point) {
                 smallest = Some(k);
             }
-        });
+        };
+        self.long.iter().for_each(|&k| look(k));
+        self.cells.for_each_near(point, |i| look(self.short[i as usize]));
         smallest
+    }
+
+    /// Whether a point that no particle covers lies inside the `k`-th void or on one of its islands.
+    fn surrounds(&self, linked: &Linked, void: &Around, k: usize, point: Frac) -> bool {
+        if void.rings.is_empty() {
+            return true;
+        }
+        self.boundaries[k].get_or_init(|| Boundary::of(linked, void)).surrounds(linked.pbox, point)
     }
 }
 
-/// How often a closed line runs counter-clockwise around a point.
-fn winding_number(corners: &[Vec2], point: Vec2) -> i64 {
-    let mut turns = 0;
-    for (a, b) in corners.iter().zip(corners.iter().cycle().skip(1)) {
-        let side = cross([b[0] - a[0], b[1] - a[1]], [point[0] - a[0], point[1] - a[1]]);
-        if a[1] <= point[1] && b[1] > point[1] && side > 0.0 {
-            turns += 1;
-        } else if a[1] > point[1] && b[1] <= point[1] && side < 0.0 {
-            turns -= 1;
+/// A closed line that passes every point outside of all particles as the boundary of a void does.
+#[derive(Clone)]
+struct Boundary {
+    /// Where it starts, the origin of all that follows.
+    start: Frac,
+    low: Vec2,
+    high: Vec2,
+    /// The edges that reach into each of the rows from `low` to `high`.
+    rows: Vec<Vec<[Vec2; 2]>>,
+    /// By how many boxes the area that it runs around differs from that of the void.
+    boxes: i64,
+}
+
+impl Boundary {
+    fn of(linked: &Linked, void: &Around) -> Self {
+        let corners = linked.corners(&void.rings);
+        let low = corners.iter().fold([f64::INFINITY; 2], |m, c| [m[0].min(c[0]), m[1].min(c[1])]);
+        let high = corners.iter().fold([f64::NEG_INFINITY; 2], |m, c| [m[0].max(c[0]), m[1].max(c[1])]);
+        let area = -linked.signed_area(&void.rings) - void.area;
+        let boxes = (area / linked.pbox.area()).round() as i64;
+        let rows = vec![Vec::new(); corners.len().isqrt()];
+        let mut boundary = Boundary { start: linked.rings[void.rings[0]].start, low, high, rows, boxes };
+        for (&a, &b) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+            let (first, last) = (boundary.row(a[1].min(b[1])), boundary.row(a[1].max(b[1])));
+            boundary.rows[first..=last].iter_mut().for_each(|row| row.push([a, b]));
         }
+        boundary
     }
-    turns
+
+    fn row(&self, y: f64) -> usize {
+        let height = self.high[1] - self.low[1];
+        let row = (y - self.low[1]) / height * self.rows.len() as f64;
+        (row as usize).min(self.rows.len() - 1) // 0 where it has no height
+    }
+
+    fn surrounds(&self, pbox: &PeriodicBox, point: Frac) -> bool {
+        let nearest = pbox.displacement(point, self.start);
+        let steps = |low: f64, high: f64, step: f64| (low / step).ceil() as i64..=(high / step).floor() as i64;
+        let mut turns = 0;
+        for row in steps(self.low[1] - nearest[1], self.high[1] - nearest[1], pbox.ly()) {
+            let x = nearest[0] + row as f64 * pbox.xy();
+            for column in steps(self.low[0] - x, self.high[0] - x, pbox.lx()) {
+                turns -= self.turns([x + column as f64 * pbox.lx(), nearest[1] + row as f64 * pbox.ly()]);
+            }
+        }
+        turns - self.boxes > 0
+    }
+
+    /// How often it runs counter-clockwise around a point between `low` and `high`.
+    fn turns(&self, point: Vec2) -> i64 {
+        let mut turns = 0;
+        for [a, b] in &self.rows[self.row(point[1])] {
+            let side = cross([b[0] - a[0], b[1] - a[1]], [point[0] - a[0], point[1] - a[1]]);
+            if a[1] <= point[1] && b[1] > point[1] && side > 0.0 {
+                turns += 1;
+            } else if a[1] > point[1] && b[1] <= point[1] && side < 0.0 {
+                turns -= 1;
+            }
+        }
+        turns
+    }
 }
 
 /// Beyond this many ends without a partner something is wrong, and pairing by distance alone would take too long.
