@@ -34,8 +34,8 @@ pub fn table(comm: &Comm) -> String {
             Count::Steps => continue,
             Count::HaloMessages => "halo messages sent",
             Count::HaloBytes => "halo bytes sent",
-            Count::ListMessages => "list messages sent",
-            Count::ListBytes => "list bytes sent",
+            Count::OtherMessages => "other messages sent",
+            Count::OtherBytes => "other bytes sent",
             Count::Collectives => "collective operations",
             Count::Waits => "messages waited for",
         };

@@ -52,10 +52,10 @@ pub enum Count {
     HaloMessages,
     /// Their bytes.
     HaloBytes,
-    /// Messages to other ranks at list builds.
-    ListMessages,
+    /// Other messages to single ranks: at list builds, of rows for files, and what rank 0 factorises.
+    OtherMessages,
     /// Their bytes.
-    ListBytes,
+    OtherBytes,
     /// Collective operations.
     Collectives,
     /// Messages waited for, one for each that is received.
@@ -67,8 +67,8 @@ impl Count {
         Count::Steps,
         Count::HaloMessages,
         Count::HaloBytes,
-        Count::ListMessages,
-        Count::ListBytes,
+        Count::OtherMessages,
+        Count::OtherBytes,
         Count::Collectives,
         Count::Waits,
     ];

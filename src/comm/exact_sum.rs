@@ -1,9 +1,10 @@
 //! Sums of floating-point numbers that do not depend on the order or grouping of their terms.
 //!
-//! Every term is rounded once to a fixed-point grid shared by all ranks and threads (two 64-bit limbs, 2⁻⁷⁰ of the
-//! largest term); integers then add associatively, so any partition of the terms gives the same bits.
+//! Every term is rounded once to a fixed-point grid shared by all ranks and threads (two 64-bit limbs, in units
+//! of at most 2⁻⁶⁷ of the largest term); integers then add associatively, so any partition of the terms gives the same bits.
 
-/// Bits of a term that the upper limb keeps, and again the lower: 2³⁴ per term leaves room for 2²⁸ terms.
+/// Bits of a term that the upper limb keeps, and again the lower: 2³⁴ per term leaves room for 2²⁹ terms as large as
+/// the largest.
 const LIMB: i32 = 34;
 
 /// 1.5·2⁵²: adding it rounds a smaller number to an integer, kept in the low bits of the sum's mantissa.

@@ -12,7 +12,7 @@ pub use reduction::{EXTREMES, FusedSums, Sums, Totals};
 
 use crate::profile::{self, Count, Phase};
 use crate::threads;
-use mpi::collective::UnsafeUserOperation;
+use mpi::collective::{SystemOperation, UnsafeUserOperation};
 use mpi::point_to_point::{Destination, Source};
 use mpi::topology::{Color, Communicator, SimpleCommunicator};
 use mpi::traits::{AsRaw, CommunicatorCollectives, Root};
@@ -140,14 +140,8 @@ impl Comm {
 
     /// The largest over ranks of each of a few numbers.
     pub fn max_each<const N: usize>(&self, x: [f64; N]) -> [f64; N] {
-        let mut largest = x;
-        for part in self.all_gather(&x.map(f64::to_bits)) {
-            for (most, bits) in largest.iter_mut().zip(part) {
-                let other = f64::from_bits(bits);
-                *most = if most.is_nan() || other.is_nan() { f64::NAN } else { most.max(other) };
-            }
-        }
-        largest
+        let largest = self.reduce(&x.map(ordered), SystemOperation::max());
+        std::array::from_fn(|k| unordered(largest[k]))
     }
 
     /// Whether it is true on any rank.
@@ -157,7 +151,18 @@ impl Comm {
 
     /// Sum of one whole number per rank.
     pub fn sum_count(&self, here: u64) -> u64 {
-        self.all_gather(&[here]).iter().map(|part| part[0]).sum()
+        self.reduce(&[here], SystemOperation::sum())[0]
+    }
+
+    /// Words of all ranks, each reduced over ranks.
+    fn reduce(&self, here: &[u64], operation: SystemOperation) -> Vec<u64> {
+        let mut all = here.to_vec();
+        if let Some(group) = self.peers() {
+            let _reduction = profile::enter(Phase::Reductions);
+            profile::add(Count::Collectives, 1);
+            group.all_reduce_into(here, &mut all[..], operation);
+        }
+        all
     }
 
     /// Order-independent sums of `K` quantities over `n` terms here and any number on other ranks: the same bits
@@ -188,14 +193,11 @@ impl Comm {
                 a
             },
         );
-        let mut whole = [ExactSum::default(); K];
+        // the sum of limbs as words without a sign has the same bits
         let words: Vec<u64> = sums.iter().flat_map(|s| s.limbs.map(|l| l as u64)).collect();
-        for part in self.all_gather(&words) {
-            for k in 0..K {
-                whole[k].merge(ExactSum { limbs: [part[2 * k] as i64, part[2 * k + 1] as i64] });
-            }
-        }
-        std::array::from_fn(|k| if bound[k].is_finite() { whole[k].value(grids[k]) } else { f64::NAN })
+        let words = self.reduce(&words, SystemOperation::sum());
+        let whole = |k: usize| ExactSum { limbs: [words[2 * k] as i64, words[2 * k + 1] as i64] };
+        std::array::from_fn(|k| if bound[k].is_finite() { whole(k).value(grids[k]) } else { f64::NAN })
     }
 
     /// The same number of words from every rank, in rank order.
@@ -216,8 +218,8 @@ impl Comm {
     /// be mutual: every rank names those that name it. Any lengths.
     pub fn exchange(&self, peers: &[usize], outgoing: &[Vec<u64>]) -> Vec<Vec<u64>> {
         let Some(group) = self.peers() else { return Vec::new() };
-        profile::add(Count::ListMessages, outgoing.len());
-        profile::add(Count::ListBytes, outgoing.iter().map(|words| size_of_val(&words[..])).sum());
+        profile::add(Count::OtherMessages, outgoing.len());
+        profile::add(Count::OtherBytes, outgoing.iter().map(|words| size_of_val(&words[..])).sum());
         profile::add(Count::Waits, peers.len());
         mpi::request::multiple_scope(peers.len(), |scope, pending| {
             for (&peer, words) in peers.iter().zip(outgoing) {
@@ -230,12 +232,12 @@ impl Comm {
     }
 
     /// Sends `outgoing[r]` to every rank r and returns what every rank sent here.
-    pub fn all_to_all(&self, outgoing: Vec<Vec<u64>>) -> Vec<Vec<u64>> {
+    pub fn all_to_all(&self, mut outgoing: Vec<Vec<u64>>) -> Vec<Vec<u64>> {
         let Some(_) = self.peers() else { return outgoing };
         let everyone: Vec<usize> = (0..self.size).filter(|&r| r != self.rank).collect();
-        let to_others: Vec<Vec<u64>> = everyone.iter().map(|&r| outgoing[r].clone()).collect();
-        let mut incoming = self.exchange(&everyone, &to_others);
-        incoming.insert(self.rank, outgoing[self.rank].clone());
+        let own = outgoing.remove(self.rank);
+        let mut incoming = self.exchange(&everyone, &outgoing);
+        incoming.insert(self.rank, own);
         incoming
     }
 
@@ -243,10 +245,13 @@ impl Comm {
     pub fn gather(&self, words: Vec<u64>) -> Vec<Vec<u64>> {
         let Some(group) = self.peers() else { return vec![words] };
         if self.is_root() {
+            profile::add(Count::Waits, self.size - 1);
             let mut all = vec![words];
             all.extend((1..self.size).map(|r| group.process_at_rank(r as i32).receive_vec().0));
             all
         } else {
+            profile::add(Count::OtherMessages, 1);
+            profile::add(Count::OtherBytes, size_of_val(&words[..]));
             group.process_at_rank(0).send(&words[..]);
             Vec::new()
         }
@@ -258,6 +263,7 @@ impl Comm {
         let root = group.process_at_rank(0);
         let mut length = bytes.len() as u64;
         root.broadcast_into(&mut length);
+        profile::add(Count::Collectives, if length == 0 { 1 } else { 2 });
         let mut bytes = if self.is_root() { bytes } else { vec![0; length as usize] };
         if length > 0 {
             // the address of an empty vector may be one that means something to MPI
@@ -314,9 +320,34 @@ fn noted<E: DeserializeOwned>(note: &[u8]) -> E {
     serde_json::from_slice(note).expect("an error as another rank wrote it")
 }
 
+/// A word that is larger for a larger number, and largest for NaN.
+fn ordered(x: f64) -> u64 {
+    const SIGN: u64 = 1 << 63;
+    match x.to_bits() {
+        _ if x.is_nan() => u64::MAX,
+        bits if bits & SIGN == 0 => bits | SIGN,
+        bits => !bits,
+    }
+}
+
+/// The number of that word.
+fn unordered(word: u64) -> f64 {
+    const SIGN: u64 = 1 << 63;
+    f64::from_bits(if word & SIGN == 0 { !word } else { word & !SIGN })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_are_ordered_as_words() {
+        let numbers = [f64::NEG_INFINITY, -2.0, -1e-310, -0.0, 0.0, 1e-310, 1.5, f64::INFINITY];
+        assert!(numbers.windows(2).all(|pair| ordered(pair[0]) < ordered(pair[1])));
+        assert!(ordered(f64::NAN) == ordered(-f64::NAN) && ordered(f64::INFINITY) < ordered(f64::NAN));
+        assert!(numbers.iter().all(|&x| unordered(ordered(x)).to_bits() == x.to_bits()));
+        assert!(unordered(ordered(f64::NAN)).is_nan());
+    }
 
     #[test]
     fn what_is_no_number_spoils_its_own_sum_only() {

@@ -122,7 +122,7 @@ impl<const S: usize> FusedSums<S> {
     }
 }
 
-/// A grid this much too large still resolves the largest term to 2⁻⁵⁰.
+/// A grid this much too large still resolves the largest term to 2⁻⁴⁸.
 const COARSEST: f64 = 1.0 / (1u64 << 20) as f64;
 
 /// The most sums that share a reduction.
