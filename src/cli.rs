@@ -216,7 +216,7 @@ pub struct RunOptions {
 pub struct Settings {
     /// Threads of each rank
     #[arg(long, global = true, value_name = "N", env = "RAYON_NUM_THREADS", default_value_t = 1,
-          value_parser = clap::value_parser!(u16).range(1..=1024))]
+          value_parser = n_threads)]
     pub threads: u16,
     /// Print at the end where the time went and what the ranks sent each other
     #[arg(long, global = true)]
@@ -294,6 +294,11 @@ fn positive(text: &str) -> Result<f64, String> {
         Ok(x) if x > 0.0 && x.is_finite() => Ok(x),
         _ => Err("give a number above 0, such as 1e-9".into()),
     }
+}
+
+fn n_threads(text: &str) -> Result<u16, String> {
+    let number = text.parse::<u16>().ok().filter(|number| (1..=1024).contains(number));
+    number.ok_or_else(|| "give a whole number from 1 to 1024, here or in RAYON_NUM_THREADS".into())
 }
 
 fn figure_number(text: &str) -> Result<u8, String> {

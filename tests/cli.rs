@@ -293,6 +293,22 @@ fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
 }
 
 #[test]
+fn an_onset_above_the_densities_that_are_wanted_is_said() {
+    let place = Place::with("scene.toml", &QUICK_SP.replace("increments = [1e-3, 1e-2]", "until = 0.6"));
+    let run = place.jamhpc(&["run", "scene.toml"]).succeeds();
+    assert!(run.stderr.contains("`compression.until` = 0.6 is not above the onset at 0.8"), "{}", run.stderr);
+}
+
+#[test]
+fn files_of_others_stay() {
+    let place = Place::with("scene.toml", QUICK_SP);
+    std::fs::create_dir_all(place.path().join("out/checkpoint")).unwrap();
+    place.write("out/checkpoint/notes.txt", "mine");
+    place.jamhpc(&["run", "scene.toml", "-o", "out"]).succeeds();
+    assert_eq!(place.read("out/checkpoint/notes.txt"), b"mine");
+}
+
+#[test]
 fn any_number_of_ranks_and_threads_writes_the_same_bytes() {
     let place = Place::with("scene.toml", &QUICK_SP.replace("32", "64"));
     let run = |out: &str, launch: &dyn Fn(&[&str]) -> Outcome| {
@@ -395,7 +411,7 @@ fn wrong_flags_are_refused() {
     place.refuses(&["--restart"], &["unexpected argument", "--restart"]);
     place.refuses(&["run"], &["required"]);
     place.refuses(&["dance"], &["dance"]);
-    place.refuses(&["--threads", "0"], &["--threads", "0"]);
+    place.refuses(&["--threads", "0"], &["--threads", "1 to 1024", "RAYON_NUM_THREADS"]);
     place.refuses(&["--log-level", "jamhpc=loud"], &["--log-level"]);
 }
 

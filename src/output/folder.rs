@@ -111,6 +111,32 @@ pub fn can_be_written(path: &Path) -> Result<(), OutputError> {
     tried.map_err(|e| OutputError::write(path, explain(&e)))
 }
 
+/// Removes the files in a folder whose names are this program's own, and what a killed one was writing; and the folder, if
+/// nothing of anybody else's is in it.
+pub fn remove_own(folder: &Path, is_own: impl Fn(&str) -> bool) -> std::io::Result<()> {
+    let unless_gone = |outcome: std::io::Result<()>| match outcome {
+        Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::DirectoryNotEmpty) => Ok(()),
+        outcome => outcome,
+    };
+    let entries = match fs::read_dir(folder) {
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let path = entry?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if is_own(&name) || is_part(&name) {
+            unless_gone(fs::remove_file(path))?;
+        }
+    }
+    unless_gone(fs::remove_dir(folder))
+}
+
+/// Whether a file is one that [`write_whole`] has not come to the end of.
+pub fn is_part(name: &str) -> bool {
+    name.starts_with('.') && name.ends_with(".part")
+}
+
 fn part_of(path: &Path) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     path.with_file_name(format!(".{name}.part"))

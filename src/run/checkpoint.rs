@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::geometry::PeriodicBox;
 use crate::minimize::{Goal, Minimized, Minimizer, Report, TURN};
 use crate::model::Model;
-use crate::output::folder::{explain, write_whole};
+use crate::output::folder::{explain, remove_own, write_whole};
 use crate::output::{OutputError, Record, read_records, write_records};
 use crate::particles::{Bodies, Particles};
 use crate::scene::Scene;
@@ -184,13 +184,12 @@ pub fn remove(folder: &Path) {
 }
 
 fn clear(folder: &Path) -> std::io::Result<()> {
-    let unless_gone = |outcome: std::io::Result<()>| match outcome {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        outcome => outcome,
-    };
     // without the scene it is no checkpoint, whatever becomes of the rest
-    unless_gone(fs::remove_file(folder.join(SCENE)))?;
-    unless_gone(fs::remove_dir_all(folder))
+    match fs::remove_file(folder.join(SCENE)) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
+        _ => {}
+    }
+    remove_own(folder, |name| name.ends_with(".records"))
 }
 
 /// The scene of the checkpoint in a folder, after a line on the program; empty if there is none. Collective.

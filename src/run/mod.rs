@@ -16,7 +16,7 @@ use crate::model::{EdgeEdge, Model, VertexEdge};
 use crate::observe::{Moduli, OnsetBracket, PerParticle, Rattlers, Sample, refuse_crossings};
 use crate::output::{Folder, print};
 use crate::protocol::{Onset, compress_to, find_onset, shear_by};
-use crate::scene::{Contact, Method, Physics, Scene};
+use crate::scene::{Compression, Contact, Method, Physics, Scene};
 use checkpoint::{Checkpoints, Signals};
 use progress::Progress;
 use records::Records;
@@ -148,7 +148,12 @@ pub fn protocol<M: Model>(
         state.onset = Some(onset);
         sample(system, &moduli, &last, state, records)?;
     }
-    for density in scene.samples(state.onset.map_or(0.0, |onset| onset.density)) {
+    let onset = state.onset.map_or(0.0, |onset| onset.density);
+    let densities = scene.samples(onset);
+    if let (Compression::Until { until, .. }, []) = (&scene.compression, &densities[..]) {
+        tracing::warn!("`compression.until` = {until} is not above the onset at {onset:.6}: no sample but that");
+    }
+    for density in densities {
         let report = compress_to(system, minimizer, &goal, density)?;
         let pressure = sample(system, &moduli, &report, state, records)?;
         progress.state("compression", density, pressure / scene.pressure_unit(), report.iterations);

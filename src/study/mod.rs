@@ -86,7 +86,7 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
             (gathered, _) => gathered?,
         };
         // claims of finished work say nothing
-        let _ = std::fs::remove_dir_all(&claims);
+        let _ = Claims::remove(&claims);
         let of_all = format!("{} of {} packings", store.records.len(), members.len());
         if let Some(error) = error {
             return Err(error.and(&format!("{of_all} are kept")));

@@ -6,7 +6,7 @@
 
 use crate::comm::Comm;
 use crate::failure::Failure;
-use crate::output::folder::explain;
+use crate::output::folder::{explain, remove_own};
 use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -56,11 +56,12 @@ impl Claims {
     /// A folder without claims; those of a killed study are removed. For one rank.
     pub fn reset(folder: &Path) -> Result<(), Failure> {
         let fail = |e: std::io::Error| Failure::Other(format!("cannot write {}: {}", folder.display(), explain(&e)));
-        match std::fs::remove_dir_all(folder) {
-            Err(e) if e.kind() != ErrorKind::NotFound => return Err(fail(e)),
-            _ => {}
-        }
-        std::fs::create_dir_all(folder).map_err(fail)
+        Claims::remove(folder).and_then(|()| std::fs::create_dir_all(folder)).map_err(fail)
+    }
+
+    /// For one rank, when all work is done.
+    pub fn remove(folder: &Path) -> std::io::Result<()> {
+        remove_own(folder, |name| name.bytes().all(|digit| digit.is_ascii_digit()))
     }
 
     pub fn in_folder(folder: &Path) -> Claims {

@@ -15,7 +15,7 @@
 use super::plan::{Member, Plan, scene_text};
 use super::record::Record;
 use crate::failure::Failure;
-use crate::output::folder::{explain, write_whole};
+use crate::output::folder::{explain, is_part, write_whole};
 use crate::output::tables::{Column, Table, read_tables, write_tables};
 use crate::run::checkpoint;
 use std::collections::{BTreeMap, BTreeSet};
@@ -80,10 +80,7 @@ pub fn n_kept(folder: &Path) -> usize {
 }
 
 fn is_record(entry: &std::fs::DirEntry) -> bool {
-    let name = entry.file_name();
-    let name = name.to_string_lossy();
-    // what a killed process was writing begins with a dot
-    name.ends_with(".json") && !name.starts_with('.')
+    entry.file_name().to_string_lossy().ends_with(".json")
 }
 
 /// Gathers all finished packings into the results file; those that failed are left out if they are to be tried again.
@@ -101,8 +98,10 @@ pub fn gather(folder: &Path, plan: &Plan, retry: bool) -> Result<Store, Failure>
     let mut files = Vec::new();
     for entry in std::fs::read_dir(&members).map_err(fail)? {
         let entry = entry.map_err(fail)?;
-        files.push(entry.path());
-        if is_record(&entry) {
+        if is_part(&entry.file_name().to_string_lossy()) {
+            files.push(entry.path()); // what a killed process was writing
+        } else if is_record(&entry) {
+            files.push(entry.path());
             let bytes = std::fs::read(entry.path()).map_err(fail)?;
             // a file that a failing disk has damaged is a packing to be made again
             if let Ok(record) = serde_json::from_slice::<Record>(&bytes) {
