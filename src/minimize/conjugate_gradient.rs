@@ -397,7 +397,7 @@ mod tests {
     #[test]
     fn forces_that_run_away_end_it() {
         let mut system = scattered(120);
-        system.model.epsilon = 1e13;
+        system.model.epsilon = 1e17;
         let goal = Goal { force_tolerance: 1e-12, max_iterations: 10 };
         assert!(matches!(ConjugateGradient.minimize(&mut system, &goal), Err(EngineError::Runaway { .. })));
         system.model.epsilon = f64::NAN;
