@@ -265,6 +265,19 @@ fn relaxation_ends_in_force_balance() {
     }
 }
 
+/// In this box the nearest image of disk 1 seen from disk 0 is not the one that lists find first, and disk 2 pushes the
+/// two together.
+#[test]
+fn disks_of_a_tilted_box_touch_through_their_nearest_images() {
+    let text = r#"{"model": "sp", "box": {"lx": 3.23, "ly": 3.23, "xy": 1.6}, "epsilon": 1.0, "diameters": [1.4, 1.4, 1.0],
+        "positions": [[0, 0], [-1.3273, 0.646], [-2.226458728630794, 1.0836226464970187]]}"#;
+    let goal = Goal { force_tolerance: 1e-12, max_iterations: 100_000 };
+    let (relaxed, outcome) = minimize(Comm::alone(), text, "test", &Fire, &goal).unwrap();
+    assert!(outcome.is_converged());
+    let evaluation = parse(&evaluate(Comm::alone(), &relaxed, "relaxed", &[]).unwrap());
+    assert!(evaluation["max_force"].as_f64().unwrap() <= 1e-12, "{evaluation}");
+}
+
 #[test]
 fn a_relaxation_that_runs_out_of_steps_says_so() {
     let goal = Goal { force_tolerance: 1e-11, max_iterations: 3 };

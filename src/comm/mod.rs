@@ -320,9 +320,10 @@ fn noted<E: DeserializeOwned>(note: &[u8]) -> E {
     serde_json::from_slice(note).expect("an error as another rank wrote it")
 }
 
+const SIGN: u64 = 1 << 63;
+
 /// A word that is larger for a larger number, and largest for NaN.
 fn ordered(x: f64) -> u64 {
-    const SIGN: u64 = 1 << 63;
     match x.to_bits() {
         _ if x.is_nan() => u64::MAX,
         bits if bits & SIGN == 0 => bits | SIGN,
@@ -332,7 +333,6 @@ fn ordered(x: f64) -> u64 {
 
 /// The number of that word.
 fn unordered(word: u64) -> f64 {
-    const SIGN: u64 = 1 << 63;
     f64::from_bits(if word & SIGN == 0 { !word } else { word & !SIGN })
 }
 
