@@ -110,8 +110,8 @@ pub struct System<M: Model> {
     pbox: PeriodicBox,
     particles: Particles,
     forces: Vec<Vec2>,
-    /// The forces with rigid motions made lighter; empty where particles are single points.
-    lightened: Vec<Vec2>,
+    /// What the forces accelerate ([`Model::accelerate`]); empty where particles are single points.
+    accelerations: Vec<Vec2>,
     chunks: Vec<Chunk>,
     skin: f64,
     list: M::List,
@@ -175,7 +175,7 @@ impl<M: Model> System<M> {
             grid,
             pbox,
             forces: Vec::new(),
-            lightened: Vec::new(),
+            accelerations: Vec::new(),
             chunks: Vec::new(),
             skin,
             halo: Halo::default(),
@@ -329,17 +329,17 @@ impl<M: Model> System<M> {
         own
     }
 
-    /// Forces on this rank's own points with rigid motions made lighter, as of the last evaluation.
-    pub fn lightened_forces(&self) -> &[Vec2] {
-        if M::BODIES { &self.lightened } else { &self.forces }
+    /// What the forces on this rank's own points accelerate ([`Model::accelerate`]), as of the last evaluation.
+    pub fn accelerations(&self) -> &[Vec2] {
+        if M::BODIES { &self.accelerations } else { &self.forces }
     }
 
-    /// Moves points: `step` gets the box, and a chunk's positions, first carried vectors and lightened forces. No
+    /// Moves points: `step` gets the box, and a chunk's positions, first carried vectors and accelerations. No
     /// point may move farther than `bound`, which must be the same on all ranks.
     pub fn move_points(&mut self, bound: f64, step: impl Fn(&PeriodicBox, &mut [Frac], &mut [Vec2], &[Vec2]) + Sync) {
         let owned = self.particles.owned_points();
         let Particles { position, carried, .. } = &mut self.particles;
-        let forces = if M::BODIES { &self.lightened } else { &self.forces };
+        let forces = if M::BODIES { &self.accelerations } else { &self.forces };
         let pbox = &self.pbox;
         let _update = profile::enter(Phase::Update);
         threads::fold(
@@ -369,7 +369,7 @@ impl<M: Model> System<M> {
         let owned = self.particles.owned_points();
         let Particles { position, carried, .. } = &mut self.particles;
         let [first, second] = &mut carried[..] else { panic!("two vectors are carried") };
-        let forces = if M::BODIES { &self.lightened } else { &self.forces };
+        let forces = if M::BODIES { &self.accelerations } else { &self.forces };
         let pbox = &self.pbox;
         let _update = profile::enter(Phase::Update);
         threads::fold_split(
@@ -382,7 +382,7 @@ impl<M: Model> System<M> {
     }
 
     /// Evaluates the forces on all own points, then calls `reduce` on each chunk while it is in the cache, with its
-    /// forces and lightened forces, and merges the answers; `None` on a rank without particles.
+    /// forces and accelerations, and merges the answers; `None` on a rank without particles.
     pub fn evaluate<R: Send>(
         &mut self,
         reduce: impl Fn(&Chunk, &Particles, &[Vec2], &[Vec2]) -> R + Sync,
@@ -396,11 +396,11 @@ impl<M: Model> System<M> {
         let view = View { pbox: &self.pbox, particles: &self.particles, lists: &self.list };
         let model = &self.model;
         if M::BODIES {
-            let work = |chunk: &Chunk, forces: &mut [Vec2], lightened: &mut [Vec2]| {
-                model.forces_and_lightened(&view, chunk.particles.clone(), forces, lightened);
-                reduce(chunk, view.particles, forces, lightened)
+            let work = |chunk: &Chunk, forces: &mut [Vec2], accelerations: &mut [Vec2]| {
+                model.forces_and_accelerations(&view, chunk.particles.clone(), forces, accelerations);
+                reduce(chunk, view.particles, forces, accelerations)
             };
-            return Ok(threads::fold(&self.chunks, &mut self.forces, &mut self.lightened, &work, &merge));
+            return Ok(threads::fold(&self.chunks, &mut self.forces, &mut self.accelerations, &work, &merge));
         }
         let work = |chunk: &Chunk, forces: &mut [Vec2], _: &mut [()]| {
             model.forces(&view, chunk.particles.clone(), forces);
@@ -507,7 +507,7 @@ impl<M: Model> System<M> {
         }
         let _lists = profile::enter(Phase::Lists);
         (self.list, self.halo) = (M::List::default(), Halo::default());
-        (self.forces, self.lightened, self.built_position) = (Vec::new(), Vec::new(), Vec::new());
+        (self.forces, self.accelerations, self.built_position) = (Vec::new(), Vec::new(), Vec::new());
         self.particles.forget_foreign();
         self.migrate();
         let has_moved = self.travel_bound > 0.0;
@@ -559,7 +559,7 @@ impl<M: Model> System<M> {
 
         self.forces = vec![[0.0; 2]; owned_points];
         if M::BODIES {
-            self.lightened = vec![[0.0; 2]; owned_points];
+            self.accelerations = vec![[0.0; 2]; owned_points];
         }
         self.built_box = self.pbox;
         self.built_at = self.counters.forces;

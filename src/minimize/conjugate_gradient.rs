@@ -17,7 +17,7 @@ use bytemuck::{Pod, Zeroable};
 /// whether the state is relaxed. Where t is far from 1 the same line is tried again at its zero.
 ///
 /// One collective operation per evaluation: F·d, F·f and F·g are summed, all other products follow from them.
-/// For particles of many points f are the forces with rigid motions lighter (`Model::lighten`), the preconditioner;
+/// For particles of many points f are the forces over masses that differ (`Model::accelerate`), the preconditioner;
 /// elsewhere f = F.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ConjugateGradient;
@@ -32,7 +32,7 @@ const GROW: f64 = 4.0;
 /// A direction descends when its slope is more than this part of steepest descent's.
 const LEAST_SLOPE: f64 = 1e-3;
 
-/// The point that a line starts from: products of its forces g, with g·g short for that of forces and lightened forces.
+/// The point that a line starts from: products of its forces g, with g·g short for that of forces and accelerations.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]
 struct Base {
@@ -44,7 +44,7 @@ struct Base {
     largest: f64,
 }
 
-/// What one step is decided by: forces F and lightened forces f at the trial point.
+/// What one step is decided by: forces F and accelerations f at the trial point.
 #[derive(Clone, Copy, Debug)]
 struct Trial {
     /// F·d.
@@ -54,7 +54,7 @@ struct Trial {
     /// F·g.
     overlap: f64,
     max_force: f64,
-    max_lightened: f64,
+    max_acceleration: f64,
     max_direction: f64,
 }
 
@@ -143,7 +143,7 @@ impl Minimizer for ConjugateGradient {
             if !descends {
                 beta = 0.0;
             }
-            let largest = s.abs() * base.largest + t * trial.max_lightened;
+            let largest = s.abs() * base.largest + t * trial.max_acceleration;
             base = Base { square, slope: square + beta * along, largest };
 
             let back = -s * length;
@@ -215,7 +215,7 @@ impl Kernel for Step<'_> {
 struct Partial<'a> {
     grids: &'a [Grid; 3],
     forces: &'a [Vec2],
-    lightened: &'a [Vec2],
+    accelerations: &'a [Vec2],
     directions: &'a [Vec2],
     bases: &'a [Vec2],
 }
@@ -225,9 +225,9 @@ impl Kernel for Partial<'_> {
 
     #[inline(always)]
     fn run(self, _: impl Lanes) -> Totals<3> {
-        let Partial { grids, forces, lightened, directions, bases } = self;
+        let Partial { grids, forces, accelerations, directions, bases } = self;
         let mut totals = Totals::default();
-        for (((&force, &f), &d), &g) in forces.iter().zip(lightened).zip(directions).zip(bases) {
+        for (((&force, &f), &d), &g) in forces.iter().zip(accelerations).zip(directions).zip(bases) {
             let terms = [dot(force, d), dot(force, f), dot(force, g)];
             totals.add(grids, terms, [dot(force, force), dot(f, f), dot(d, d)]);
         }
@@ -238,17 +238,17 @@ impl Kernel for Partial<'_> {
 /// Forces at the present positions, and what the step is decided by: one fused reduction, repeated only when the terms
 /// have outgrown the grids of the sums.
 fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<3>) -> Result<Trial, EngineError> {
-    let partial = |grids: &[Grid; 3], forces: &[Vec2], lightened: &[Vec2], directions: &[Vec2], bases: &[Vec2]| {
+    let partial = |grids: &[Grid; 3], forces: &[Vec2], accelerations: &[Vec2], directions: &[Vec2], bases: &[Vec2]| {
         // the compiler sees that these are the same, and reads them once
-        let lightened = if M::BODIES { lightened } else { forces };
-        lanes::run(Partial { grids, forces, lightened, directions, bases })
+        let accelerations = if M::BODIES { accelerations } else { forces };
+        lanes::run(Partial { grids, forces, accelerations, directions, bases })
     };
     let grids = fused.grids;
     let mut totals = system
         .evaluate(
-            |chunk, particles, forces, lightened| {
+            |chunk, particles, forces, accelerations| {
                 let [directions, bases] = [0, 1].map(|k| &particles.carried[k][chunk.points.clone()]);
-                partial(&grids, forces, lightened, directions, bases)
+                partial(&grids, forces, accelerations, directions, bases)
             },
             Totals::merged,
         )?
@@ -256,11 +256,11 @@ fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<3>) -> Result
     loop {
         system.comm.combine(&mut totals);
         if let Some(Sums { sum: [slope, square, overlap], extremes }) = fused.settle(&totals) {
-            let [max_force, max_lightened, max_direction] = extremes.map(f64::sqrt);
-            return Ok(Trial { slope, square, overlap, max_force, max_lightened, max_direction });
+            let [max_force, max_acceleration, max_direction] = extremes.map(f64::sqrt);
+            return Ok(Trial { slope, square, overlap, max_force, max_acceleration, max_direction });
         }
         let [directions, bases] = [0, 1].map(|k| &system.particles().carried[k][..]);
-        totals = partial(&fused.grids, system.forces(), system.lightened_forces(), directions, bases);
+        totals = partial(&fused.grids, system.forces(), system.accelerations(), directions, bases);
     }
 }
 

@@ -12,9 +12,9 @@ use bytemuck::{Pod, Zeroable};
 /// One collective operation per step: the power F·v and the squared norms of F and v before the step determine the
 /// norms after it, so everything that the step decides is known from one reduction.
 ///
-/// For particles of many points the masses are not all one: rigid motions of a particle are lighter (`Model::lighten`),
-/// so that the softest modes of a packing, particles rolling on each other, keep up with the stiffest. This is FIRE in
-/// mass-weighted coordinates; the minimum is the same.
+/// For particles of many points the masses are not all one (`Model::accelerate`): rigid motions of a particle are lighter,
+/// so that the softest modes of a packing, particles rolling on each other, keep up with the stiffest, and its growth is
+/// heavier where contacts are soft. This is FIRE in mass-weighted coordinates; the minimum is the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fire;
 
@@ -29,7 +29,7 @@ const STEP_START: f64 = 0.1;
 /// Smallest time step over the largest: below it FIRE would stand still with unbalanced forces.
 const STEP_LEAST: f64 = 0.01;
 
-/// What one step is decided by. With f the lightened forces, M⁻¹F, the scalar products are those of mass-weighted
+/// What one step is decided by. With f the accelerations, M⁻¹F, the scalar products are those of mass-weighted
 /// coordinates: F·f = |F|² and vᵀMv = |v|² there.
 #[derive(Clone, Copy, Debug, Default)]
 struct Norms {
@@ -39,7 +39,7 @@ struct Norms {
     force2: f64,
     max_force: f64,
     max_velocity: f64,
-    max_lightened: f64,
+    max_acceleration: f64,
 }
 
 /// What it knows between two steps, besides the velocities.
@@ -121,7 +121,7 @@ impl Minimizer for Fire {
             } else {
                 (0.0, dt)
             };
-            let fastest = keep * norms.max_velocity + push * norms.max_lightened;
+            let fastest = keep * norms.max_velocity + push * norms.max_acceleration;
             let slowed = (cap / (dt * fastest)).min(1.0);
             (keep, push) = (slowed * keep, slowed * push);
             velocity2 = keep * (keep * velocity2 + 2.0 * push * norms.power) + push * push * norms.force2;
@@ -165,7 +165,7 @@ impl Kernel for Step<'_> {
 struct Partial<'a> {
     grids: &'a [Grid; 2],
     forces: &'a [Vec2],
-    lightened: &'a [Vec2],
+    accelerations: &'a [Vec2],
     velocities: &'a [Vec2],
 }
 
@@ -175,7 +175,7 @@ impl Kernel for Partial<'_> {
     #[inline(always)]
     fn run(self, _: impl Lanes) -> Totals<2> {
         let mut totals = Totals::default();
-        for ((&f, &g), &v) in self.forces.iter().zip(self.lightened).zip(self.velocities) {
+        for ((&f, &g), &v) in self.forces.iter().zip(self.accelerations).zip(self.velocities) {
             totals.add(self.grids, [dot(f, v), dot(f, g)], [dot(f, f), dot(v, v), dot(g, g)]);
         }
         totals
@@ -185,16 +185,16 @@ impl Kernel for Partial<'_> {
 /// Forces at the present positions, and the norms of the step: one fused reduction, repeated only when forces or
 /// velocities have outgrown the grids of the sums.
 fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<2>) -> Result<Norms, EngineError> {
-    let partial = |grids: &[Grid; 2], forces: &[Vec2], lightened: &[Vec2], velocities: &[Vec2]| {
+    let partial = |grids: &[Grid; 2], forces: &[Vec2], accelerations: &[Vec2], velocities: &[Vec2]| {
         // the compiler sees that these are the same, and reads them once
-        let lightened = if M::BODIES { lightened } else { forces };
-        lanes::run(Partial { grids, forces, lightened, velocities })
+        let accelerations = if M::BODIES { accelerations } else { forces };
+        lanes::run(Partial { grids, forces, accelerations, velocities })
     };
     let grids = fused.grids;
     let mut totals = system
         .evaluate(
-            |chunk, particles, forces, lightened| {
-                partial(&grids, forces, lightened, &particles.carried[0][chunk.points.clone()])
+            |chunk, particles, forces, accelerations| {
+                partial(&grids, forces, accelerations, &particles.carried[0][chunk.points.clone()])
             },
             Totals::merged,
         )?
@@ -202,10 +202,10 @@ fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<2>) -> Result
     loop {
         system.comm.combine(&mut totals);
         if let Some(Sums { sum: [power, force2], extremes }) = fused.settle(&totals) {
-            let [max_force, max_velocity, max_lightened] = extremes.map(f64::sqrt);
-            return Ok(Norms { power, force2, max_force, max_velocity, max_lightened });
+            let [max_force, max_velocity, max_acceleration] = extremes.map(f64::sqrt);
+            return Ok(Norms { power, force2, max_force, max_velocity, max_acceleration });
         }
         let velocities = &system.particles().carried[0];
-        totals = partial(&fused.grids, system.forces(), system.lightened_forces(), velocities);
+        totals = partial(&fused.grids, system.forces(), system.accelerations(), velocities);
     }
 }

@@ -2,8 +2,8 @@
 
 mod deformable;
 mod edge_edge;
+mod masses;
 mod outline_forces;
-mod rigid;
 mod soft_disks;
 mod stiffness;
 mod vertex_edge;
@@ -91,7 +91,7 @@ pub trait Model: Copy + Send + Sync {
     type List: PointList + Default;
 
     /// Whether particles are bodies of several points, whose rigid motions a minimiser may make lighter than the
-    /// motions of single points ([`Model::lighten`]).
+    /// motions of single points ([`Model::accelerate`]).
     const BODIES: bool;
 
     /// The kind of particles it acts on.
@@ -113,20 +113,21 @@ pub trait Model: Copy + Send + Sync {
     /// Forces on the points of a run of own particles (written, not added), each summed in the order of global ids.
     fn forces(&self, view: &View<Self::List>, particles: Range<usize>, forces: &mut [Vec2]);
 
-    /// Writes what the forces on a run of own particles accelerate when rigid translations and rotations of a particle
-    /// are lighter than motions of its single points: a symmetric positive map of the forces, the identity for disks.
-    fn lighten(&self, view: &View<Self::List>, particles: Range<usize>, forces: &[Vec2], lightened: &mut [Vec2]);
+    /// Writes what the forces on a run of own particles accelerate when the rigid motions of a particle are lighter than
+    /// motions of its single points and its growth is heavier: M⁻¹F, a symmetric positive map of the forces, the identity
+    /// for disks.
+    fn accelerate(&self, view: &View<Self::List>, particles: Range<usize>, forces: &[Vec2], accelerations: &mut [Vec2]);
 
-    /// [`Model::forces`] and [`Model::lighten`] of a run of own particles that is a chunk of the lists.
-    fn forces_and_lightened(
+    /// [`Model::forces`] and [`Model::accelerate`] of a run of own particles that is a chunk of the lists.
+    fn forces_and_accelerations(
         &self,
         view: &View<Self::List>,
         particles: Range<usize>,
         forces: &mut [Vec2],
-        lightened: &mut [Vec2],
+        accelerations: &mut [Vec2],
     ) {
         self.forces(view, particles.clone(), forces);
-        self.lighten(view, particles, forces, lightened);
+        self.accelerate(view, particles, forces, accelerations);
     }
 
     /// Readies the lists for forces at the present positions and at all that can be reached while no point moves
@@ -176,8 +177,7 @@ pub trait Model: Copy + Send + Sync {
 
     /// ε/δ² of contacts that can be [softened](Model::softened).
     fn contact_stiffness(&self) -> Option<f64> {
-        let stiffest = |model: &Self| model.time_step().powi(-2);
-        Some((stiffest(self) - stiffest(&self.softened(0.0)?)) / 4.0) // their stiffest mode is four times as stiff
+        Some((self.stiffest() - self.softened(0.0)?.stiffest()) / 4.0) // their stiffest mode is four times as stiff
     }
 
     /// Size of the forces that shape a packing: line tension γ, or ε/σ_S of disks.
@@ -191,7 +191,10 @@ pub trait Model: Copy + Send + Sync {
     /// whole.
     fn elastic(&self, view: &View<Self::List>, particle: usize) -> Elastic;
 
-    /// Largest time step that is safe for unit masses, from a bound on the stiffest mode.
+    /// Bound on the stiffest mode for unit masses, the largest eigenvalue of the Hessian.
+    fn stiffest(&self) -> f64;
+
+    /// Largest time step that is safe for the masses of [`Model::accelerate`], from a bound on the stiffest mode.
     fn time_step(&self) -> f64;
 
     /// Largest displacement of a point in one minimiser step.

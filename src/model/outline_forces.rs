@@ -9,20 +9,21 @@
 //! Eight pairs or eight vertices are handled together; what pairs give is added up one after the other, in their order.
 
 use super::deformable::{Deformable, DeformableParameters};
+use super::masses::Added;
 use super::vertex_edge::VertexEdge;
-use super::{Harmonic, Model, View, rigid};
+use super::{Harmonic, Model, View};
 use crate::geometry::{Vec2, cross, dot, scale};
 use crate::lanes::{Kernel, LANES, Lanes};
 use crate::neighbor::{OutlineFrame, Touching, VertexEdgeList};
 use std::ops::Range;
 
-/// All forces on a chunk of own particles, written to `forces`, and what they accelerate, to `lightened`.
+/// All forces on a chunk of own particles, written to `forces`, and what they accelerate, to `accelerations`.
 pub(super) struct OutlineForces<'a> {
     pub model: &'a Deformable<VertexEdge>,
     pub view: &'a View<'a, VertexEdgeList>,
     pub particles: Range<usize>,
     pub forces: &'a mut [Vec2],
-    pub lightened: &'a mut [Vec2],
+    pub accelerations: &'a mut [Vec2],
 }
 
 impl Kernel for OutlineForces<'_> {
@@ -30,25 +31,26 @@ impl Kernel for OutlineForces<'_> {
 
     #[inline(always)]
     fn run(self, l: impl Lanes) {
-        let OutlineForces { model, view, particles, forces, lightened } = self;
+        let OutlineForces { model, view, particles, forces, accelerations } = self;
         let bodies = &view.particles.bodies;
         let origin = bodies.points(particles.start).start;
         let narrowed = view.lists.narrowed(particles.start);
         let mut scratch = Scratch::default();
+        let held = model.parameters.held_growth();
         for p in particles {
             let points = bodies.points(p);
             let (mine, n) = (points.start - origin..points.end - origin, points.len());
             let Some(touching) = narrowed.and_then(|chunk| chunk.of(p)) else {
-                let (forces, lightened) = (&mut forces[mine.clone()], &mut lightened[mine]);
+                let (forces, accelerations) = (&mut forces[mine.clone()], &mut accelerations[mine]);
                 model.forces(view, p..p + 1, forces);
-                model.lighten(view, p..p + 1, forces, lightened);
+                model.accelerate(view, p..p + 1, forces, accelerations);
                 continue;
             };
             scratch.frame.fill(l, view.pbox, view.particles, p, touching.points);
             scratch.contacts(l, model.parameters.contact, &touching);
             scratch.add_up(&touching, n);
-            let (forces, lightened) = (&mut forces[mine.start..], &mut lightened[mine.start..]);
-            scratch.all_forces(l, &model.parameters, view.particles.size[p], n, forces, lightened);
+            let (forces, accelerations) = (&mut forces[mine.start..], &mut accelerations[mine.start..]);
+            scratch.all_forces(l, &model.parameters, view.particles.size[p], held, n, forces, accelerations);
         }
     }
 }
@@ -74,6 +76,9 @@ struct Scratch {
     corners: Vec<(u16, Vec2)>,
     /// The forces of all contacts on the n vertices, then zeros: long enough for eight to be taken from any vertex.
     on_vertex: Vec<Vec2>,
+    /// All forces on them, as long.
+    force_x: Vec<f64>,
+    force_y: Vec<f64>,
 }
 
 impl Scratch {
@@ -137,56 +142,71 @@ impl Scratch {
         }
     }
 
-    /// Writes all forces on the n vertices, and what they accelerate when rigid motions are lighter (see `rigid`). Only
-    /// contacts move or turn the particle as a whole; tension and pressure do not.
+    /// Writes all forces on the n vertices, and what they accelerate (see `masses`). Only contacts move or turn the particle
+    /// as a whole; tension and pressure do not.
     ///
     /// With edge vectors e_i from vertex i to i + 1: −∂(γp)/∂x_i = γ(ê_i − ê_{i−1}), and ∂a/∂x_i is half the chord
     /// e_{i−1} + e_i turned by −90°.
     #[inline(always)]
     fn all_forces(
-        &self,
+        &mut self,
         l: impl Lanes,
         parameters: &DeformableParameters,
         rest_area: f64,
+        held: f64,
         n: usize,
         forces: &mut [Vec2],
-        lightened: &mut [Vec2],
+        accelerations: &mut [Vec2],
     ) {
-        let frame = &self.frame;
-        let per_vertex = 1.0 / n as f64;
-        let mean = scale(per_vertex, frame.sum);
-        let (mut sum_x, mut sum_y, mut torque) = (l.splat(0.0), l.splat(0.0), l.splat(0.0));
-        for k in (0..n).step_by(LANES) {
-            let [force_x, force_y] = l.components(&self.on_vertex[k..]);
-            let (x, y) = (l.load(&frame.x[k + 1..]), l.load(&frame.y[k + 1..]));
-            (sum_x, sum_y) = (l.add(sum_x, force_x), l.add(sum_y, force_y));
-            torque = l.add(torque, l.sub(l.mul(x, force_y), l.mul(y, force_x)));
+        let Scratch { frame, on_vertex, force_x, force_y, .. } = self;
+        if force_x.len() < n + LANES {
+            force_x.resize(n + LANES, 0.0);
+            force_y.resize(n + LANES, 0.0);
         }
-        let force = [l.sum(sum_x), l.sum(sum_y)];
-        let torque = l.sum(torque) - cross(mean, force);
-        let inertia = frame.squares - dot(mean, frame.sum);
-        let rigid::Lighter { push, turn } = rigid::Lighter::new(scale(per_vertex, force), torque, inertia);
-        // push + turn × (arm from the mean vertex, turned by 90°)
-        let (push_x, push_y) = (l.splat(push[0] + turn * mean[1]), l.splat(push[1] - turn * mean[0]));
-        let turn = l.splat(turn);
+        let zero = l.splat(0.0);
+        let (mut sum_x, mut sum_y, mut torque, mut growth, mut square) = (zero, zero, zero, zero, zero);
         let half_pressure = l.splat(0.5 * parameters.k_area * (rest_area - 0.5 * frame.area2));
         let tension = l.splat(parameters.line_tension);
         for k in (1..=n).step_by(LANES) {
-            let (x, y) = (l.load(&frame.along_x[k..]), l.load(&frame.along_y[k..]));
+            let ([x, y], [before_x, before_y]) = frame.edges(l, k);
             let per_length = l.load(&frame.per_length[k..]);
-            // not loaded: the processor would wait for two stores to end
-            let (before_x, before_y) = (l.shifted(frame.along_x[k - 1], x), l.shifted(frame.along_y[k - 1], y));
             let per_length_before = l.shifted(frame.per_length[k - 1], per_length);
             let (pull_before, pull) = (l.mul(tension, per_length_before), l.mul(tension, per_length));
             let tension_x = l.sub(l.mul(pull, x), l.mul(pull_before, before_x));
             let tension_y = l.sub(l.mul(pull, y), l.mul(pull_before, before_y));
-            let [contact_x, contact_y] = l.components(&self.on_vertex[k - 1..]);
-            let force_x = l.add(l.add(tension_x, l.mul(half_pressure, l.add(y, before_y))), contact_x);
-            let force_y = l.add(l.sub(tension_y, l.mul(half_pressure, l.add(x, before_x))), contact_y);
-            put(l, force_x, force_y, &mut forces[k - 1..]);
+            let [contact_x, contact_y] = l.components(&on_vertex[k - 1..]);
+            let is_vertex = l.first(n + 1 - k);
+            let chord_x = l.keep(is_vertex, l.add(x, before_x));
+            let chord_y = l.keep(is_vertex, l.add(y, before_y));
+            let fx = l.add(l.add(tension_x, l.mul(half_pressure, chord_y)), contact_x);
+            let fy = l.add(l.sub(tension_y, l.mul(half_pressure, chord_x)), contact_y);
+            l.store(fx, &mut force_x[k - 1..]);
+            l.store(fy, &mut force_y[k - 1..]);
+            put(l, fx, fy, &mut forces[k - 1..]);
             let (at_x, at_y) = (l.load(&frame.x[k..]), l.load(&frame.y[k..]));
+            (sum_x, sum_y) = (l.add(sum_x, contact_x), l.add(sum_y, contact_y));
+            torque = l.add(torque, l.sub(l.mul(at_x, contact_y), l.mul(at_y, contact_x)));
+            growth = l.add(growth, l.sub(l.mul(chord_y, fx), l.mul(chord_x, fy)));
+            square = l.add(square, l.add(l.mul(chord_x, chord_x), l.mul(chord_y, chord_y)));
+        }
+        let per_vertex = 1.0 / n as f64;
+        let mean = scale(per_vertex, frame.sum);
+        let force = [l.sum(sum_x), l.sum(sum_y)];
+        let torque = l.sum(torque) - cross(mean, force);
+        let rotation = [torque, frame.squares - dot(mean, frame.sum)];
+        let growth = [l.sum(growth), l.sum(square)];
+        let Added { push, turn, growth } = Added::new(scale(per_vertex, force), rotation, growth, held);
+        // push + turn × (arm from the mean vertex, turned by 90°)
+        let (push_x, push_y) = (l.splat(push[0] + turn * mean[1]), l.splat(push[1] - turn * mean[0]));
+        let (turn, growth) = (l.splat(turn), l.splat(growth));
+        for k in (1..=n).step_by(LANES) {
+            let ([x, y], [before_x, before_y]) = frame.edges(l, k);
+            let (chord_x, chord_y) = (l.add(x, before_x), l.add(y, before_y));
+            let (at_x, at_y) = (l.load(&frame.x[k..]), l.load(&frame.y[k..]));
+            let (fx, fy) = (l.load(&force_x[k - 1..]), l.load(&force_y[k - 1..]));
             let (more_x, more_y) = (l.sub(push_x, l.mul(turn, at_y)), l.add(push_y, l.mul(turn, at_x)));
-            put(l, l.add(more_x, force_x), l.add(more_y, force_y), &mut lightened[k - 1..]);
+            let (more_x, more_y) = (l.add(more_x, l.mul(growth, chord_y)), l.sub(more_y, l.mul(growth, chord_x)));
+            put(l, l.add(more_x, fx), l.add(more_y, fy), &mut accelerations[k - 1..]);
         }
     }
 }

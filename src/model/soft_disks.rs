@@ -159,8 +159,14 @@ impl Model for SoftDisks {
         }
     }
 
-    fn lighten(&self, _view: &View<DiskList>, _particles: Range<usize>, forces: &[Vec2], lightened: &mut [Vec2]) {
-        lightened.copy_from_slice(forces);
+    fn accelerate(
+        &self,
+        _view: &View<DiskList>,
+        _particles: Range<usize>,
+        forces: &[Vec2],
+        accelerations: &mut [Vec2],
+    ) {
+        accelerations.copy_from_slice(forces);
     }
 
     fn terms(&self, view: &View<DiskList>, i: usize) -> Terms {
@@ -217,6 +223,10 @@ impl Model for SoftDisks {
             add_elastic(&mut elastic, |a, b| 0.5 * dot(strained(a, r), times(&block, strained(b, r))));
         }
         elastic
+    }
+
+    fn stiffest(&self) -> f64 {
+        self.time_step().powi(-2)
     }
 
     fn time_step(&self) -> f64 {

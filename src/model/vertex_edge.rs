@@ -87,13 +87,13 @@ impl Contact for VertexEdge {
         list.narrow(pbox, particles, law.delta, travel);
     }
 
-    fn forces_and_lightened(
+    fn forces_and_accelerations(
         model: &Deformable<Self>,
         view: &View<VertexEdgeList>,
         particles: Range<usize>,
         forces: &mut [Vec2],
-        lightened: &mut [Vec2],
+        accelerations: &mut [Vec2],
     ) {
-        lanes::run(OutlineForces { model, view, particles, forces, lightened });
+        lanes::run(OutlineForces { model, view, particles, forces, accelerations });
     }
 }

@@ -89,6 +89,14 @@ impl OutlineFrame {
         }
     }
 
+    /// The edges from eight slots on, and those before them.
+    #[inline(always)]
+    pub fn edges<L: Lanes>(&self, l: L, k: usize) -> ([L::Real; 2], [L::Real; 2]) {
+        let (x, y) = (l.load(&self.along_x[k..]), l.load(&self.along_y[k..]));
+        // not loaded: the processor would wait for two stores to end
+        ([x, y], [l.shifted(self.along_x[k - 1], x), l.shifted(self.along_y[k - 1], y)])
+    }
+
     #[inline(always)]
     fn put_others<L: Lanes>(
         &mut self,

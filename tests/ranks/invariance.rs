@@ -83,7 +83,7 @@ pub fn fire_dp(comm: Comm) -> Outcome {
     relax(system, Fire, 5, 0.1)
 }
 
-/// Few particles: what matters is that lightened forces are another vector than forces.
+/// Few particles: what matters is that accelerations are another vector than forces.
 pub fn cg_dp(comm: Comm) -> Outcome {
     let mut system = random_dp::<VertexEdge>(comm, 128, unit_box(0.0), 0.75, 0.9);
     let tighter = system.pbox().with_area(0.88 * system.pbox().area());

@@ -30,7 +30,8 @@ use past::Past;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Newton;
 
-/// The softest contacts, as a part of their stiffness: the stiffest modes are then those of the areas.
+/// The softest contacts, as a part of their stiffness: the stiffest modes are then those of the areas, which FIRE slows
+/// down (`Model::accelerate`).
 const SOFTEST: f64 = 1e-3;
 /// With mild contacts their stiffest modes are this part of those of shapes. Where [`SOFTEST`] is more than ten times
 /// softer, so many iterations at most tell how strongly outlines press on each other.
@@ -97,7 +98,7 @@ impl Minimizer for Newton {
                 outcome
             }
             None => {
-                search.stiffest = system.model.time_step().powi(-2);
+                search.stiffest = system.model.stiffest();
                 search.settle(system, goal.force_tolerance)
             }
         };
@@ -141,8 +142,8 @@ impl Search<'_> {
     fn through_softer<M: Model>(&mut self, system: &mut System<M>, full: &M) -> Result<bool, EngineError> {
         let at = |level: f64| full.softened(level).expect("what was softened once can be again");
         let is_fine = self.is_fine();
-        let small = SMALL * full.step_cap() / (4.0 * full.time_step().powi(2));
-        self.stiffest = at(SOFTEST).time_step().powi(-2);
+        let small = SMALL * full.step_cap() * full.stiffest() / 4.0;
+        self.stiffest = at(SOFTEST).stiffest();
         if is_fine && self.once(system, |search, system| search.forces(system))? <= small {
             // contact forces as they are after a change of the box say nothing of those at balance: no pre-stress
             if self.attempt(system, self.goal.force_tolerance, 0.0)? {
@@ -157,7 +158,7 @@ impl Search<'_> {
         }
         let mut fine = on_the_way;
         if is_fine {
-            let shapes = at(0.0).time_step().powi(-2);
+            let shapes = at(0.0).stiffest();
             match self.balance_softly(system, level, shapes)? {
                 Some(tolerance) => fine = tolerance.clamp(self.goal.force_tolerance, on_the_way),
                 None => return Ok(false),
@@ -196,7 +197,7 @@ impl Search<'_> {
         at: impl Fn(f64) -> M,
     ) -> Result<f64, EngineError> {
         let stiffness = full.contact_stiffness().unwrap_or_default();
-        let shapes = at(0.0).time_step().powi(-2);
+        let shapes = at(0.0).stiffest();
         let mild = MILD * (shapes / (4.0 * stiffness)).min(1.0);
         // what contacts push with that overlap by a step
         let deep = full.step_cap() * stiffness;
