@@ -53,7 +53,16 @@ pub fn analyze(session: &Session, file: &Path, text: Option<&str>, frame: Frame,
             let results = Results::open(&session.world(), file)?;
             let frames: Vec<Frame> = if all { (0..results.frames).map(Some).collect() } else { vec![frame] };
             for frame in frames {
-                rows.push(with_frame(session.world(), file, &results, frame, |_, _| Measure)??);
+                // what the state does not tell, the file does
+                let mut known = Row::new();
+                let measured = with_frame(session.world(), file, &results, frame, |_, snapshot| {
+                    let stored =
+                        snapshot.scalars.iter().filter(|(name, _)| ["density", "strain"].contains(&name.as_str()));
+                    known.extend(stored.cloned());
+                    Measure
+                })??;
+                let number = frame.filter(|_| all).map(|k| ("frame".to_string(), k as f64));
+                rows.push(number.into_iter().chain(known).chain(measured).collect());
             }
         }
     }

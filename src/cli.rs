@@ -52,11 +52,11 @@ Examples:
   jamhpc info jamhpc-out/results.h5             what is in a results file
   jamhpc render FILE.h5 --frame 3 --color-by pressure -o frame3.png
   jamhpc evaluate FILE.json                     energy, forces, stress, contacts of one configuration
-  jamhpc analyze FILE.h5 --all -o numbers.csv   every observable of every frame, measured again
+  jamhpc analyze FILE.h5 --all -o numbers.csv   every number of every frame, measured again
   jamhpc check FILE.h5                          is every frame relaxed, uncrossed, and what it says it is?
   jamhpc validate                               is this build right? exact checks, some seconds
 
-Exit codes: 0 done, 2 bad input, 3 a state did not converge or no onset was found, 1 other failures, 85 interrupted by a
+Exit codes: 0 done, 2 bad input, 3 not converged, no onset, or a study without any sample, 1 other failures, 85 interrupted by a
 signal (--resume goes on), 70 internal error.";
 
 /// What to do.
@@ -68,7 +68,7 @@ pub enum Command {
         scene: PathBuf,
         #[command(flatten)]
         options: RunOptions,
-        /// Only validate: print the whole scene, defaults included, and stop
+        /// Only validate the scene, and that its box fits these ranks: print it whole, defaults included, and stop
         #[arg(long, visible_alias = "dry-run")]
         check: bool,
     },
@@ -108,7 +108,7 @@ pub enum Command {
         /// What to add, separated by commas
         #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
         with: Vec<Extra>,
-        /// Where to write; the terminal if not given
+        /// Where to write; the terminal if not given, or `-`
         #[arg(short, long, value_name = "OUT")]
         output: Option<PathBuf>,
     },
@@ -119,7 +119,7 @@ pub enum Command {
         /// Which frame of a results file; the last one if not given
         #[arg(long, value_name = "K")]
         frame: Option<usize>,
-        /// Where to write the relaxed configuration
+        /// Where to write the relaxed configuration; `-` is the terminal
         #[arg(short, long, value_name = "OUT")]
         output: PathBuf,
         /// Minimiser: inertial relaxation, conjugate gradients, or Newton's method, which is fastest for deformable
@@ -143,7 +143,7 @@ pub enum Command {
         /// All frames, as a table (CSV)
         #[arg(long, conflicts_with = "frame")]
         all: bool,
-        /// Where to write; the terminal if not given
+        /// Where to write; the terminal if not given, or `-`
         #[arg(short, long, value_name = "OUT")]
         output: Option<PathBuf>,
     },

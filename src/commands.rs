@@ -50,12 +50,20 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
         }
         Some(Command::Run { scene, options, check }) => {
             let scene = read_scene(&comm, Some(scene), options)?;
-            if *check { print(&comm, &scene.to_toml()) } else { run::run(comm, &scene, options.resume, speaks) }
+            if *check {
+                run::setup::check(comm.size(), &scene)?;
+                return print(&comm, &scene.to_toml());
+            }
+            run::run(comm, &scene, options.resume, speaks)
         }
         Some(Command::Study { study, output, check, retry }) => {
             let plan = Plan::parse(&read_text(&comm, study)?, &study.display().to_string())
                 .map_err(|e| Failure::Input(e.to_string()))?;
             if *check {
+                for group in &plan.groups {
+                    run::setup::check(group.ranks, &group.scene)
+                        .map_err(|e| Failure::Input(format!("{}: {}: {e}", study.display(), group.id())))?;
+                }
                 return print(&comm, &plan.summary());
             }
             let folder = output.clone().unwrap_or_else(|| study.file_stem().map_or_else(Default::default, Into::into));
@@ -128,9 +136,9 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
                 Starter::Dp => scene::DP_STARTER,
                 Starter::Study => study::plan::STARTER,
             };
-            match output.as_deref() {
-                Some(file) if file != Path::new("-") => write_new(&comm, file, text),
-                _ => print(&comm, text),
+            match to_write(output.as_deref()) {
+                Some(file) => write_new(&comm, file, text),
+                None => print(&comm, text),
             }
         }
     }
@@ -162,7 +170,7 @@ fn report(outcome: Minimized, goal: &Goal, output: &Path) -> Result<(), Failure>
         "not converged: max|F| = {max_force:.3e} is above {:e} after {iterations} iterations. The state so far is in \
          {}, marked as not converged: go on from it, raise --max-iterations or loosen --force-tolerance",
         goal.force_tolerance,
-        output.display()
+        to_write(Some(output)).map_or("what is printed".into(), |file| file.display().to_string())
     )))
 }
 
@@ -253,9 +261,14 @@ fn print(comm: &Comm, text: &str) -> Result<(), Failure> {
     Ok(output::print(comm, text)?)
 }
 
+/// The file to write, if it is one: `-` is the standard output.
+fn to_write(file: Option<&Path>) -> Option<&Path> {
+    file.filter(|file| *file != Path::new("-"))
+}
+
 /// Writes a file on rank 0, whole or not at all; prints where none is asked for.
 fn give(comm: &Comm, file: Option<&Path>, text: &str) -> Result<(), Failure> {
-    let Some(file) = file else { return print(comm, text) };
+    let Some(file) = to_write(file) else { return print(comm, text) };
     comm.from_root(|| {
         write_whole(file, text.as_bytes())?;
         Ok::<_, Failure>(Vec::new())
@@ -265,7 +278,7 @@ fn give(comm: &Comm, file: Option<&Path>, text: &str) -> Result<(), Failure> {
 
 /// Refuses a file for results that cannot be written, before they are computed.
 fn expect_to_write(comm: &Comm, file: Option<&Path>) -> Result<(), Failure> {
-    let Some(file) = file else { return Ok(()) };
+    let Some(file) = to_write(file) else { return Ok(()) };
     comm.from_root(|| can_be_written(file).map(|()| Vec::new()).map_err(|e| Failure::Input(e.to_string())))?;
     Ok(())
 }

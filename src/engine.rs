@@ -34,6 +34,8 @@ pub enum EngineError {
     Moduli { linear_response: f64, strained: f64 },
     #[error("the outlines of particles {0} and {1} cross: crossed outlines never untangle, so the state is not valid")]
     Crossing(u32, u32),
+    #[error("disks {0} and {1} lie at one place, where no force parts them: move one of them a little")]
+    Coincident(u32, u32),
     #[error("interrupted")]
     Interrupted,
     #[error("the voids found fill {found:.15} of the box, but particles leave {left:.15}: please report this state")]
@@ -139,6 +141,25 @@ pub struct System<M: Model> {
     halo_is_old: bool,
 }
 
+/// The domains of so many ranks in a box with particles whose points are at most `radius` from their centre and interact up to
+/// `range`, with `skin` added in neighbour lists.
+pub fn fits(
+    ranks: usize,
+    smallest_box: &PeriodicBox,
+    is_disks: bool,
+    [radius, range, skin]: [f64; 3],
+) -> Result<ProcessGrid, EngineError> {
+    let extent = 2.0 * radius + range;
+    let widths = smallest_box.widths();
+    let width = widths[0].min(widths[1]);
+    // a disk also must not overlap the same neighbour through two images
+    let extent = if is_disks { 2.0 * extent } else { extent };
+    if extent >= width {
+        return Err(EngineError::BoxTooSmall { extent, width });
+    }
+    Ok(ProcessGrid::new(ranks, smallest_box, range + skin + 2.0 * radius)?)
+}
+
 impl<M: Model> System<M> {
     /// A system of the particles that each rank brings (any distribution over the ranks; ids unique).
     ///
@@ -157,15 +178,8 @@ impl<M: Model> System<M> {
             (0..particles.len()).fold((0.0f64, 0.0f64), |(size, r), p| (size.max(particles.size[p]), r.max(radius(p))));
         let [largest_size, largest_radius] = comm.max_each([size, radius]);
         let range = model.range(largest_size);
-        let extent = 2.0 * largest_radius + range;
-        let widths = smallest_box.widths();
-        let width = widths[0].min(widths[1]);
-        // a disk also must not overlap the same neighbour through two images
-        let extent = if matches!(particles.bodies, Bodies::Disks) { 2.0 * extent } else { extent };
-        if extent >= width {
-            return Err(EngineError::BoxTooSmall { extent, width });
-        }
-        let grid = ProcessGrid::new(comm.size(), smallest_box, range + skin + 2.0 * largest_radius)?;
+        let is_disks = matches!(particles.bodies, Bodies::Disks);
+        let grid = fits(comm.size(), smallest_box, is_disks, [largest_radius, range, skin])?;
         Ok(System {
             list: M::List::default(),
             comm,

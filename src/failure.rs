@@ -70,7 +70,9 @@ impl From<SceneError> for Failure {
 impl From<EngineError> for Failure {
     fn from(error: EngineError) -> Self {
         match error {
-            EngineError::TooManyRanks(_) | EngineError::BoxTooSmall { .. } => Failure::Input(error.to_string()),
+            EngineError::TooManyRanks(_) | EngineError::BoxTooSmall { .. } | EngineError::Coincident(..) => {
+                Failure::Input(error.to_string())
+            }
             EngineError::Interrupted => Failure::Interrupted(error.to_string()),
             EngineError::Runaway { .. }
             | EngineError::Crossing(..)

@@ -259,6 +259,8 @@ fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
     place.jamhpc(&["minimize", "out/results.h5", "-o", "relaxed.json"]).succeeds();
     place.jamhpc(&["evaluate", "relaxed.json", "-o", "evaluation.json"]).succeeds();
     assert!(place.read("evaluation.json").starts_with(b"{\"energy\":"));
+    let printed = place.jamhpc(&["evaluate", "relaxed.json", "-o", "-"]).succeeds().stdout;
+    assert_eq!(printed.as_bytes(), place.read("evaluation.json"));
 
     let valid = place.jamhpc(&["check", "out/results.h5"]).succeeds().stdout;
     assert!(valid.contains("frame 2: stored packing_fraction") && !valid.contains("FAILED"), "{valid}");
@@ -271,7 +273,8 @@ fn a_run_prints_its_samples_and_leaves_files_that_other_commands_read() {
     let all = place.jamhpc(&["analyze", "out/results.h5", "--all"]).succeeds().stdout;
     let table: Vec<Vec<&str>> = all.lines().map(|line| line.split(',').collect()).collect();
     assert_eq!(table.len(), 4);
-    for name in ["contact_number", "mean_shear_modulus", "stress_virial_xy"] {
+    assert_eq!((table[0][0], table[3][0]), ("frame", "2"));
+    for name in ["density", "strain", "contact_number", "mean_shear_modulus", "stress_virial_xy"] {
         let column = table[0].iter().position(|&column| column == name).unwrap_or_else(|| panic!("{name}: {all}"));
         let line = one.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap();
         assert_eq!(line.split_whitespace().nth(1), Some(table[3][column]));
@@ -343,6 +346,17 @@ fn bad_scenes_are_refused() {
 fn a_box_in_which_a_particle_meets_its_own_image_is_refused() {
     let place = Place::with("scene.toml", "model = 'sp'\nn_particles = 4\n");
     place.refuses(&["run", "scene.toml"], &["box is too small", "more particles"]);
+    place.refuses(&["run", "scene.toml", "--check"], &["box is too small", "more particles"]);
+    place.jamhpc(&["run", "scene.toml", "--check", "--set", "n_particles=16"]).succeeds();
+}
+
+#[test]
+fn disks_at_one_place_are_not_relaxed() {
+    let disks = "{\"model\":\"sp\",\"box\":{\"lx\":4,\"ly\":4},\"epsilon\":1,\"diameters\":[1,1,1.4],\
+                 \"positions\":[[1,1],[3,2],[1,1]]}";
+    let place = Place::with("disks.json", disks);
+    place.refuses(&["minimize", "disks.json", "-o", "out.json"], &["disks 0 and 2 lie at one place", "move"]);
+    place.jamhpc(&["evaluate", "disks.json"]).succeeds();
 }
 
 #[test]
@@ -428,6 +442,7 @@ fn ranks_refuse_together_and_speak_once() {
     place.ranks(2, &["run"]).is_refusal(&["required"]);
     // eight ranks do not fit a box of 32 disks
     place.ranks(8, &["run", "scene.toml"]).is_refusal(&["8 ranks do not fit", "mpirun -n"]);
+    place.ranks(8, &["run", "scene.toml", "--check"]).is_refusal(&["8 ranks do not fit", "mpirun -n"]);
     assert_eq!(place.files(), before);
 }
 

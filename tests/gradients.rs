@@ -6,7 +6,7 @@ use jamhpc::comm::Comm;
 use jamhpc::engine::{Energies, System};
 use jamhpc::geometry::{PeriodicBox, Vec2, dot, norm, scale, sub};
 use jamhpc::model::{Deformable, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
-use jamhpc::particles::Particles;
+use jamhpc::particles::{Bodies, Particles};
 use jamhpc::protocol::{Species, deformable_particles};
 use perturbed::*;
 
@@ -143,6 +143,29 @@ fn contact_energies_are_the_sums_that_define_them() {
         assert!(close(e, vertex_edge), "{e} {vertex_edge}");
         let e = energies(Deformable::<EdgeEdge>::new(constants), pbox, &particles).contact;
         assert!(close(e, edge_edge), "{e} {edge_edge}");
+    }
+}
+
+/// What forces accelerate along the growth of a particle that reaches around the boundary is what it is elsewhere.
+#[test]
+fn growth_is_known_where_a_particle_is_wider_than_half_the_box() {
+    let model = Deformable::<VertexEdge>::new(parameters(1.0, 300.0, 0.5, 0.2));
+    let outline = [[0.4, 1.0], [1.35, 1.0], [2.3, 1.0], [2.3, 2.0], [1.35, 2.0], [0.4, 2.0]];
+    let of = |pbox: PeriodicBox| {
+        let mut particles = Particles::empty(&Bodies::Polygons { first: vec![0] });
+        particles.push(0, 1.9, &outline.map(|corner| pbox.frac(corner)));
+        let mut system = system(model, pbox, &particles);
+        system.max_force().unwrap();
+        let mut gradient = vec![[0.0; 2]; 6];
+        model.area_stiffness(&system.view(), 0, &mut gradient);
+        let mut accelerated = gradient.clone();
+        model.accelerate(&system.view(), 0..1, &gradient, &mut accelerated);
+        (gradient, accelerated)
+    };
+    let (gradient, elsewhere) = of(PeriodicBox::square(10.0));
+    assert!(norm(elsewhere[0]) < 0.5 * norm(gradient[0]), "it is slowed down");
+    for (a, b) in of(PeriodicBox::new(3.15, 5.0, 0.3)).1.iter().zip(&elsewhere) {
+        assert!(norm(sub(*a, *b)) < 1e-12, "{a:?} {b:?}");
     }
 }
 

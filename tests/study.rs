@@ -178,6 +178,21 @@ fn another_study_does_not_mix_with_it() {
 }
 
 #[test]
+fn a_study_without_any_sample_fails() {
+    let place = Place::new(
+        "[[ensemble]]\nn_particles = [16]\nseeds = 2\nscene.model = 'sp'\nscene.minimize.max_iterations = 3\n\
+        scene.compression.increments = [1e-3]\n",
+    );
+    for ranks in [1, 2] {
+        let output = place.command(ranks, &["study", "s.toml", "-o", "s"]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{said}");
+        assert!(said.contains("error: none of 2 packings") && said.contains("not converged"), "{said}");
+        assert!(!place.path("figure-5.svg").exists());
+    }
+}
+
+#[test]
 fn the_smoke_study_is_made_and_shown() {
     let jobs = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs");
     let place = Place::new(&std::fs::read_to_string(jobs.join("study-smoke.toml")).unwrap());

@@ -17,7 +17,7 @@ use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, add};
 use crate::minimize::{Goal, Minimized, Minimizer};
 use crate::model::{Deformable, DeformableParameters, EdgeEdge, Harmonic, Model, SoftDisks, VertexEdge};
-use crate::observe::{Look, check_no_crossing, refuse_crossings};
+use crate::observe::{Look, check_no_crossing, refuse_coincident, refuse_crossings};
 use crate::particles::Bodies;
 use serde::Serialize;
 
@@ -151,6 +151,7 @@ impl<Z: Minimizer> Task for Relax<'_, Z> {
     const SKIN: f64 = 0.5;
 
     fn run<M: Model>(self, input: Configuration, mut system: System<M>) -> Result<Self::Output, EngineError> {
+        refuse_coincident(&mut system)?;
         let minimized = self.minimizer.minimize(&mut system, self.goal)?;
         refuse_crossings(&mut system)?;
         let energy = system.energies()?.total;

@@ -113,6 +113,16 @@ impl PeriodicBox {
         self.vector(a.minus(b))
     }
 
+    /// The vector from `b` to the periodic image of `a` that lies at `near`, which may be rounded, and by how many periods along
+    /// either axis it is not the nearest image of all.
+    pub fn image_near(&self, a: Frac, b: Frac, near: Vec2) -> (Vec2, [i64; 2]) {
+        let nearest = self.displacement(a, b);
+        let rows = ((near[1] - nearest[1]) / self.ly).round();
+        let columns = ((near[0] - nearest[0] - rows * self.xy) / self.lx).round();
+        let image = [nearest[0] + columns * self.lx + rows * self.xy, nearest[1] + rows * self.ly];
+        (image, [columns as i64, rows as i64])
+    }
+
     /// A raw fixed-point difference as a Cartesian vector.
     #[inline(always)]
     pub fn vector(&self, raw: [i64; 2]) -> Vec2 {

@@ -50,7 +50,7 @@ struct Memory {
     alpha: f64,
     /// Steps since the power was last negative.
     uphill_free: u64,
-    /// vᵀMv, followed from step to step: what the power and the forces say about it is exact.
+    /// vᵀMv, followed from step to step by what the power and the forces say about it; M turns with the particles, but slowly.
     velocity2: f64,
     grids: [Grid; 2],
     report: Report,

@@ -31,12 +31,14 @@ impl DeformableParameters {
     /// particle: it is slowed down to the stiffest contacts, or [`GROWTH`] times the line modes if those are softer yet.
     pub(super) fn held_growth(&self) -> f64 {
         let [contact, area, line] = self.stiffest_modes();
-        (1.0 - contact.max(GROWTH * line) / area).max(0.0)
+        (1.0 - contact.max(GROWTH * line) / area).clamp(0.0, MOST_HELD)
     }
 }
 
 /// See [`DeformableParameters::held_growth`]. With 2 and 12 packings with soft contacts take 1.5 times the iterations.
 const GROWTH: f64 = 4.0;
+/// Something of a force is always left, so that areas relax without any line tension, too.
+const MOST_HELD: f64 = 1.0 - 1e-6;
 
 /// How the outlines of two particles repel each other.
 pub trait Contact: Copy + Send + Sync {
@@ -219,8 +221,11 @@ impl<C: Contact> Model for Deformable<C> {
             let range = view.particles.bodies.points(p);
             let mine = range.start - origin..range.end - origin;
             let points = &view.particles.position[range];
-            for (arm, &point) in accelerations[mine.clone()].iter_mut().zip(points) {
-                *arm = view.pbox.displacement(point, points[0]);
+            // about the first vertex as the outline leads there: a particle may be wider than half the box
+            let mut here = [0.0; 2];
+            for (k, arm) in accelerations[mine.clone()].iter_mut().enumerate() {
+                here = add(here, view.pbox.displacement(points[k], points[k.saturating_sub(1)]));
+                (*arm, _) = view.pbox.image_near(points[k], points[0], here);
             }
             masses::accelerate(&forces[mine.clone()], &mut accelerations[mine], self.parameters.held_growth());
         }
@@ -385,7 +390,8 @@ impl<C: Contact> Model for Deformable<C> {
 
     fn time_step(&self) -> f64 {
         let [contact, area, line] = self.parameters.stiffest_modes();
-        // 1/ω_max; larger steps fail
+        // about 1/ω_max: edges shorter than 1/4, stretched particles and lighter rigid motions are stiffer, which the sum of
+        // modes that are not one covers; larger steps fail
         1.0 / (contact + area * (1.0 - self.parameters.held_growth()) + line).sqrt()
     }
 

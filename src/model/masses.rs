@@ -101,5 +101,8 @@ mod tests {
         }
         assert!(product(other, other) > 0.1);
         check(other, 1.0);
+        let (one, two) =
+            ([[1.0, 0.2], [0.3, -2.0], [0.0, 0.5], [1.5, 1.0], [-0.4, 0.1]], turn.map(|t| [t[0] * t[0], t[1]]));
+        assert!((product(one, accelerated(two)) - product(two, accelerated(one))).abs() < 1e-12, "symmetric");
     }
 }

@@ -90,7 +90,7 @@ pub struct Ahead<'a> {
 pub trait Model: Copy + Send + Sync {
     type List: PointList + Default;
 
-    /// Whether particles are bodies of several points, whose rigid motions a minimiser may make lighter than the
+    /// Whether particles are bodies of several points, whose rigid motions and growth a minimiser may give other masses than the
     /// motions of single points ([`Model::accelerate`]).
     const BODIES: bool;
 
@@ -191,7 +191,7 @@ pub trait Model: Copy + Send + Sync {
     /// whole.
     fn elastic(&self, view: &View<Self::List>, particle: usize) -> Elastic;
 
-    /// Bound on the stiffest mode for unit masses, the largest eigenvalue of the Hessian.
+    /// About the stiffest mode for unit masses, the largest eigenvalue of the Hessian.
     fn stiffest(&self) -> f64;
 
     /// Largest time step that is safe for the masses of [`Model::accelerate`], from a bound on the stiffest mode.

@@ -1,5 +1,5 @@
 use crate::engine::{EngineError, System};
-use crate::geometry::{Polygon, Vec2, add, cross, sub};
+use crate::geometry::{PeriodicBox, Polygon, Vec2, add, cross, sub};
 use crate::model::Model;
 use crate::neighbor::{Candidates, CellList, EdgeEdgeList};
 use crate::particles::Bodies;
@@ -16,9 +16,7 @@ pub fn check_no_crossing<M: Model>(system: &mut System<M>) -> Result<Option<(u32
     let here = system.with_whole_neighbors(|candidates| {
         [tangled(candidates), crossing(candidates), nested(candidates)].into_iter().flatten().min()
     })?;
-    let word = here.map_or(u64::MAX, |(a, b)| (a as u64) << 32 | b as u64);
-    let lowest = system.comm.all_gather(&[word]).concat().into_iter().min();
-    Ok(lowest.filter(|&word| word != u64::MAX).map(|word| ((word >> 32) as u32, word as u32)))
+    Ok(lowest(system, here))
 }
 
 /// Fails if [`check_no_crossing`] finds something. Collective.
@@ -27,6 +25,29 @@ pub fn refuse_crossings<M: Model>(system: &mut System<M>) -> Result<(), EngineEr
         Some((a, b)) => Err(EngineError::Crossing(a, b)),
         None => Ok(()),
     }
+}
+
+/// Fails if two disks lie at one place: forces are zero there, at a maximum of the energy. Collective.
+pub fn refuse_coincident<M: Model>(system: &mut System<M>) -> Result<(), EngineError> {
+    if M::BODIES {
+        return Ok(());
+    }
+    let contacts = system.contacts()?;
+    let ids = &system.particles().id;
+    let touching =
+        contacts.iter().zip(ids).flat_map(|(found, &id)| found.iter().map(move |&(other, f)| (id, other, f)));
+    let here = touching.filter(|&(.., force)| force == [0.0; 2]).map(|(a, b, _)| ordered(a, b)).min();
+    match lowest(system, here) {
+        Some((a, b)) => Err(EngineError::Coincident(a, b)),
+        None => Ok(()),
+    }
+}
+
+/// The lowest of the pairs of all ranks. Collective.
+fn lowest<M: Model>(system: &System<M>, here: Option<(u32, u32)>) -> Option<(u32, u32)> {
+    let word = here.map_or(u64::MAX, |(a, b)| (a as u64) << 32 | b as u64);
+    let lowest = system.comm.all_gather(&[word]).concat().into_iter().min();
+    lowest.filter(|&word| word != u64::MAX).map(|word| ((word >> 32) as u32, word as u32))
 }
 
 fn ordered(a: u32, b: u32) -> (u32, u32) {
@@ -75,12 +96,21 @@ fn nested(candidates: &Candidates) -> Option<(u32, u32)> {
         cells.for_each_near(first[p], |q| {
             let q = q as usize;
             let pair = ordered(particles.id[p], particles.id[q]);
-            if p != q && lowest.is_none_or(|l| pair < l) && holds(&polygons[q], pbox.displacement(first[p], first[q])) {
+            let is_new = p != q && lowest.is_none_or(|l| pair < l);
+            if is_new && holds_an_image(pbox, &polygons[q], pbox.displacement(first[p], first[q])) {
                 lowest = Some(pair);
             }
         });
     }
     lowest
+}
+
+/// Whether any image of a point, of which one is given relative to the first vertex, lies inside a polygon, which may be
+/// wider than half the box.
+fn holds_an_image(pbox: &PeriodicBox, polygon: &Polygon, point: Vec2) -> bool {
+    let images = [-1.0, 0.0, 1.0]
+        .map(|rows| [-1.0, 0.0, 1.0].map(|columns| [columns * pbox.lx() + rows * pbox.xy(), rows * pbox.ly()]));
+    images.as_flattened().iter().any(|&by| holds(polygon, add(point, by)))
 }
 
 /// Whether a point, given relative to the first vertex, lies inside a polygon: an odd number of edges lies to its right.
@@ -96,7 +126,6 @@ fn holds(polygon: &Polygon, point: Vec2) -> bool {
 mod tests {
     use super::*;
     use crate::comm::Comm;
-    use crate::geometry::PeriodicBox;
     use crate::model::{Deformable, DeformableParameters, Harmonic, VertexEdge};
     use crate::particles::Particles;
     use std::f64::consts::TAU;

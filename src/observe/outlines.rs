@@ -10,7 +10,7 @@
 //! changes in an area is the square of the rounding, whatever the places.
 
 use crate::engine::System;
-use crate::geometry::{Capsule, Exposure, Frac, Hidden, PeriodicBox, Piece, Vec2, add, cross, dot, norm, scale};
+use crate::geometry::{Capsule, Exposure, Frac, Hidden, PeriodicBox, Piece, Vec2, add, cross, dot, norm, scale, sub};
 use crate::model::Model;
 use crate::neighbor::{Candidates, CellList};
 use crate::particles::Bodies;
@@ -80,6 +80,8 @@ pub struct Chain {
     /// Global id of the particle, and which of its chains this is.
     pub id: u32,
     pub number: u32,
+    /// The edge on which it starts, on the rank that owns the particle.
+    pub first_edge: u32,
     /// It has no ends; `after` and `before` mean nothing.
     pub is_closed: bool,
     pub start: Frac,
@@ -235,26 +237,42 @@ impl<'a> Outlines<'a> {
     fn share(&self, p: usize) -> f64 {
         let own = self.edges_of(p);
         let id = self.candidates.particles.id[p];
-        let mut lower = Vec::new();
+        let pbox = self.candidates.pbox;
+        let first = self.edge(own.start);
+        // all from here on lies about the first vertex as the outline leads there: the nearest image may be another where
+        // particles are as large as the box
+        let mut here = [0.0; 2];
+        let mut anchors = Vec::with_capacity(own.len());
         for e in own.clone() {
+            let edge = self.edge(e);
+            anchors.push(pbox.image_near(edge.anchor, first.anchor, here));
+            here = add(anchors[e - own.start].0, scale(edge.length, edge.along));
+        }
+        // the edges of lower ones near it, each as often as there are images of it there
+        let mut lower = Vec::new();
+        for (e, &(anchor, _)) in own.clone().zip(&anchors) {
+            let edge = self.edge(e);
             self.for_each_near(e, |c| {
-                if self.edge(c as usize).id < id && self.may_touch(e, c as usize) {
-                    lower.push(c);
+                let other = self.edge(c as usize);
+                if other.id < id && self.may_touch(e, c as usize) {
+                    let near = add(anchor, pbox.displacement(other.anchor, edge.anchor));
+                    let (at, periods) = pbox.image_near(other.anchor, first.anchor, near);
+                    lower.push((other.id, c, periods, at));
                 }
             });
         }
-        lower.sort_unstable_by_key(|&c| (self.edge(c as usize).id, c));
-        lower.dedup();
-        let pbox = self.candidates.pbox;
-        let origin = self.edge(own.start).anchor;
+        lower.sort_unstable_by_key(|&(id, c, periods, _)| (id, c, periods));
+        lower.dedup_by_key(|&mut (_, c, periods, _)| (c, periods));
         let mut area = 0.0;
         let (mut ends, mut starts) = (Vec::new(), Vec::new());
         let pieces = self.own_pieces(p, |_, hiding| {
             hiding.extend(own.clone().map(|c| c as u32));
-            hiding.extend(&lower);
+            hiding.extend(lower.iter().map(|&(_, c, ..)| c));
         });
         for chain in self.assembled(&pieces) {
-            let start = pbox.displacement(chain.start, origin);
+            let (anchor, _) = anchors[chain.first_edge as usize - own.start];
+            let near = add(anchor, pbox.displacement(chain.start, self.edge(chain.first_edge as usize).anchor));
+            let (start, _) = pbox.image_near(chain.start, first.anchor, near);
             area += 0.5 * cross(start, chain.reach) + chain.area;
             if !chain.is_closed {
                 starts.push(start);
@@ -262,20 +280,26 @@ impl<'a> Outlines<'a> {
             }
         }
         // what the lower ones leave is bounded by their outlines too, where those run inside this particle
-        let mut parts = Vec::new();
-        for &e in &lower {
+        let (mut parts, mut near) = (Vec::new(), Vec::new());
+        for &(_, e, _, anchor) in &lower {
             let edge = self.edge(e as usize);
-            let anchor = pbox.displacement(edge.anchor, origin);
+            // own edges that this image of it is near to
+            near.clear();
+            near.extend(own.clone().filter(|&c| {
+                let apart =
+                    sub(add(anchor, pbox.displacement(self.edge(c).anchor, edge.anchor)), anchors[c - own.start].0);
+                self.may_touch(e as usize, c) && dot(apart, apart) < edge.radius * edge.radius
+            }));
             for piece in edge.pieces() {
                 parts.clear();
-                own.clone().for_each(|c| self.hide(e as usize, &piece, c, &mut parts));
+                near.iter().for_each(|&c| self.hide(e as usize, &piece, c, &mut parts));
                 if parts.is_empty() {
                     continue;
                 }
                 let outside = Exposure::of(&mut parts, piece.extent()).parts;
                 parts.clear();
                 parts.extend(outside.iter().map(|part| Hidden { from: part.from, to: part.to, by: id }));
-                lower.iter().for_each(|&c| self.hide(e as usize, &piece, c as usize, &mut parts));
+                lower.iter().for_each(|&(_, c, ..)| self.hide(e as usize, &piece, c as usize, &mut parts));
                 for part in Exposure::of(&mut parts, piece.extent()).parts {
                     let [from, to] = [part.from, part.to].map(|place| add(anchor, piece.point(place)));
                     area += 0.5 * cross(to, from) - piece.bulge(part.from, part.to);
@@ -284,7 +308,7 @@ impl<'a> Outlines<'a> {
                 }
             }
         }
-        let distance = |e: usize, s: usize| norm([starts[s][0] - ends[e][0], starts[s][1] - ends[e][1]]);
+        let distance = |e: usize, s: usize| norm(sub(starts[s], ends[e]));
         for (e, s) in nearest_pairs(ends.len(), starts.len(), distance) {
             area += 0.5 * cross(ends[e], starts[s]);
         }
@@ -364,6 +388,7 @@ impl<'a> Outlines<'a> {
                 let chain = current.get_or_insert_with(|| Chain {
                     id: edge.id,
                     number: 0,
+                    first_edge: *e as u32,
                     is_closed: false,
                     start,
                     end: start,

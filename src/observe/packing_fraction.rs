@@ -141,6 +141,25 @@ mod tests {
     }
 
     #[test]
+    fn two_that_meet_on_both_sides() {
+        // longer than half the box: what is at its far end is nearer to its first vertex through the boundary
+        let pbox = PeriodicBox::new(3.15, 5.0, 0.0);
+        let rectangle = |x: f64, width: f64| {
+            let middle = x + 0.5 * width;
+            vec![[x, 1.0], [middle, 1.0], [x + width, 1.0], [x + width, 2.0], [middle, 2.0], [x, 2.0]]
+        };
+        let (long, short) = (rectangle(0.4, 1.9), rectangle(2.375, 1.1));
+        let gap = 0.075;
+        let shared = 2.0 * ((DELTA - gap) + lens(0.5 * DELTA, gap));
+        // a square, and as much again of its middle
+        let alone = 2.0 * ROUNDED + (1.9 + 1.1 - 2.0) * (1.0 + DELTA);
+        for both in [[long.clone(), short.clone()], [short, long]] {
+            let error = covered_by(pbox, &both) - (alone - shared);
+            assert!(error.abs() < 1e-12, "{error}");
+        }
+    }
+
+    #[test]
     fn almost_parallel_facets() {
         let pbox = PeriodicBox::square(6.0);
         for tilt in [1e-3, 1e-6, 1e-9, 1e-12, 1e-15] {

@@ -315,6 +315,7 @@ fn unpack(words: &[u64]) -> Vec<Chain> {
         chains.push(Chain {
             id: *head as u32,
             number: (head >> 32) as u32,
+            first_edge: 0, // of no meaning here
             is_closed: tail[8] & 1 != 0,
             after: *ends as u32,
             before: (ends >> 32) as u32,

@@ -34,8 +34,11 @@ pub fn info(path: &Path) -> Result<String, OutputError> {
         ("energy_total", "U"),
         ("max_force", "max|F|"),
     ];
-    let shown: Vec<(&str, &Vec<f64>)> = columns
+    let is_sheared = series.iter().any(|(name, values)| name == "strain" && values.iter().any(|&x| x != 0.0));
+    let shown: Vec<(&str, &Vec<f64>)> = is_sheared
+        .then_some(("strain", "strain"))
         .into_iter()
+        .chain(columns)
         .filter_map(|(name, heading)| series.iter().find(|(n, _)| n == name).map(|(_, values)| (heading, values)))
         .collect();
     if results.frames > 0 && !shown.is_empty() {

@@ -22,7 +22,7 @@ pub struct Species {
 
 impl Species {
     /// Radius of the circle through the vertices of the regular polygon of area a₀.
-    fn circumradius(&self) -> f64 {
+    pub fn circumradius(&self) -> f64 {
         let n = self.n_vertices as f64;
         (2.0 * self.size / (n * (TAU / n).sin())).sqrt()
     }
@@ -76,6 +76,9 @@ pub fn random_disks(comm: &Comm, species: &[Species], seed: u64, diameter: impl 
     disks
 }
 
+/// Skin of the disks about the centres of [`deformable_particles`], over the smallest of their diameters.
+pub const START_SKIN: f64 = 0.3;
+
 /// Regular polygons about random centres, none crossing another.
 ///
 /// Random polygons cross already at low density, and crossed polygons never untangle: first the centres are relaxed as
@@ -92,7 +95,7 @@ pub fn deformable_particles(
     let smallest = species.iter().map(outer).fold(f64::INFINITY, f64::min);
     let disks = random_disks(&comm, species, seed, outer);
     let model = SoftDisks { epsilon: 1.0, smallest };
-    let mut system = System::new(comm, model, pbox, &pbox, disks, 0.3 * smallest)?;
+    let mut system = System::new(comm, model, pbox, &pbox, disks, START_SKIN * smallest)?;
     // forces of 1e-6 ε/σ are overlaps of 1e-6 σ, far within the shells
     let goal = Goal { force_tolerance: 1e-6 / smallest, max_iterations: 100_000 };
     if let Minimized::Unconverged(report) = Fire.minimize(&mut system, &goal)? {

@@ -1,13 +1,13 @@
 //! From the scene to a system at its random start.
 
 use crate::comm::Comm;
-use crate::engine::System;
+use crate::engine::{EngineError, System, fits};
 use crate::failure::Failure;
 use crate::geometry::PeriodicBox;
 use crate::minimize::Goal;
 use crate::model::{Contact, Deformable, DeformableParameters, Harmonic, SoftDisks};
 use crate::output::Header;
-use crate::protocol::{OnsetSearch, Species, deformable_particles, random_disks};
+use crate::protocol::{OnsetSearch, START_SKIN, Species, deformable_particles, random_disks};
 use crate::scene::{self, Compression, DpPhysics, LINE_TENSION, Physics, Scene, SpPhysics};
 
 /// No packing of disks or polygons of several sizes jams above this density: the hexagonal crystal has 0.907.
@@ -29,13 +29,43 @@ pub fn deformable_model<C: Contact>(dp: &DpPhysics) -> Deformable<C> {
     })
 }
 
+/// Whether particles fit into the box of a scene and the box can be split among so many ranks, as far as can be told
+/// before any of them is made.
+pub fn check(ranks: usize, scene: &Scene) -> Result<(), EngineError> {
+    let skin = scene.neighbor.skin;
+    match &scene.physics {
+        Physics::Sp(sp) => {
+            let species = disk_species(scene, sp);
+            let largest = species.iter().map(|s| s.size).fold(0.0, f64::max);
+            fits(ranks, &Boxes::new(scene, &species, 0.0).smallest, true, [0.0, largest, skin])?;
+        }
+        Physics::Dp(dp) => {
+            let delta = dp.potential.delta;
+            let species = polygon_species(scene, dp);
+            let radii = species.iter().map(Species::circumradius);
+            let (smallest, largest) = radii.fold((f64::INFINITY, 0.0), |(s, l): (f64, f64), r| (s.min(r), l.max(r)));
+            let boxes = Boxes::new(scene, &species, delta);
+            let diameter = |radius: f64| 2.0 * radius + delta;
+            fits(ranks, &boxes.start, true, [0.0, diameter(largest), START_SKIN * diameter(smallest)])?;
+            fits(ranks, &boxes.smallest, false, [largest, delta, skin])?;
+        }
+    }
+    Ok(())
+}
+
+fn disk_species(scene: &Scene, sp: &SpPhysics) -> Vec<Species> {
+    let species = sp.species(scene.n_particles).into_iter();
+    species.map(|s| Species { count: s.count as u32, size: s.diameter, n_vertices: 1 }).collect()
+}
+
+fn polygon_species(scene: &Scene, dp: &DpPhysics) -> Vec<Species> {
+    let species = dp.species(scene.n_particles).into_iter();
+    species.map(|s| Species { count: s.count as u32, size: s.a0, n_vertices: s.n_vertices as u32 }).collect()
+}
+
 /// Soft disks at random centres.
 pub fn soft_disks(comm: Comm, scene: &Scene, sp: &SpPhysics) -> Result<System<SoftDisks>, Failure> {
-    let species: Vec<Species> = sp
-        .species(scene.n_particles)
-        .iter()
-        .map(|s| Species { count: s.count as u32, size: s.diameter, n_vertices: 1 })
-        .collect();
+    let species = disk_species(scene, sp);
     let boxes = Boxes::new(scene, &species, 0.0);
     let disks = random_disks(&comm, &species, scene.seed, |s| s.size);
     Ok(System::new(comm, disk_model(sp), boxes.start, &boxes.smallest, disks, scene.neighbor.skin)?)
@@ -44,11 +74,7 @@ pub fn soft_disks(comm: Comm, scene: &Scene, sp: &SpPhysics) -> Result<System<So
 /// Regular polygons about the same random centres, none crossing another.
 pub fn deformable<C: Contact>(comm: Comm, scene: &Scene, dp: &DpPhysics) -> Result<System<Deformable<C>>, Failure> {
     let delta = dp.potential.delta;
-    let species: Vec<Species> = dp
-        .species(scene.n_particles)
-        .iter()
-        .map(|s| Species { count: s.count as u32, size: s.a0, n_vertices: s.n_vertices as u32 })
-        .collect();
+    let species = polygon_species(scene, dp);
     let boxes = Boxes::new(scene, &species, delta);
     let (comm, polygons) = deformable_particles(comm, boxes.start, &species, scene.seed, delta)?;
     Ok(System::new(comm, deformable_model(dp), boxes.start, &boxes.smallest, polygons, scene.neighbor.skin)?)

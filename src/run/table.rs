@@ -38,21 +38,30 @@ pub fn table(scene: &Scene, samples: &[Sample]) -> String {
         let padded: Vec<String> = cells.iter().zip(WIDTHS).map(|(cell, width)| format!("{cell:>width$}")).collect();
         padded.join("  ").trim_end().to_string() + "\n"
     };
+    // what is sheared is told by its strain first
+    let is_sheared = scene.shear.until != 0.0;
+    let strained = |strain: &str, cells: [String; 8]| {
+        let line = line(cells);
+        if is_sheared { format!("{strain:>8}  {line}") } else { line }
+    };
     let header = header(scene.model());
-    let mut text = line(header.map(|[name, _]| name.to_string()));
-    text += &line(header.map(|[_, unit]| unit.to_string()));
+    let mut text = strained("strain", header.map(|[name, _]| name.to_string()));
+    text += &strained("", header.map(|[_, unit]| unit.to_string()));
     for sample in samples {
-        text += &line([
-            format!("{:.6}", sample.density.packing_fraction),
-            format!("{:.6}", sample.density.reduced_number_density),
-            format!("{:.3}", sample.contact_number),
-            format!("{:.5}", sample.shape_parameter.relative),
-            format!("{:.5e}", sample.pressure() / scene.pressure_unit()),
-            // the units of length are 1, so that energies and forces have one unit
-            format!("{:.6e}", sample.energies.total / scene.force_unit()),
-            format!("{:.1e}", sample.max_force / scene.force_unit()),
-            sample.iterations.to_string(),
-        ]);
+        text += &strained(
+            &format!("{:.6}", sample.strain),
+            [
+                format!("{:.6}", sample.density.packing_fraction),
+                format!("{:.6}", sample.density.reduced_number_density),
+                format!("{:.3}", sample.contact_number),
+                format!("{:.5}", sample.shape_parameter.relative),
+                format!("{:.5e}", sample.pressure() / scene.pressure_unit()),
+                // the units of length are 1, so that energies and forces have one unit
+                format!("{:.6e}", sample.energies.total / scene.force_unit()),
+                format!("{:.1e}", sample.max_force / scene.force_unit()),
+                sample.iterations.to_string(),
+            ],
+        );
     }
     text
 }
@@ -95,5 +104,11 @@ mod tests {
         assert_eq!(lines[0].len(), lines[2].len());
         assert!(lines[2].starts_with("0.840000  0.840100   3.970"), "{text}");
         assert!(lines[2].contains(" 2.0e-13 "), "{text}");
+
+        let scene = Scene::parse("model = 'sp'\nshear.until = 0.1", "test", &[]).unwrap();
+        sample.strain = 0.05;
+        let text = table(&scene, &[sample]);
+        let lines: Vec<&str> = text.lines().collect();
+        assert!(lines[0].starts_with("  strain       rho") && lines[2].starts_with("0.050000  0.840000"), "{text}");
     }
 }

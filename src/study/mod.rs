@@ -105,6 +105,12 @@ pub fn run(comm: &Comm, plan: &Plan, directory: &Path, retry: bool, speaks: bool
         }
         store::keep_checkpoints(directory, &BTreeSet::new());
         let mut summary = summary(plan, &store, directory);
+        if store.records.iter().all(|record| record.samples.is_empty()) {
+            return Err(Failure::NotConverged(format!(
+                "none of {} packings has come to a sample, so that there is nothing to draw:\n{summary}",
+                members.len()
+            )));
+        }
         for path in draw(directory, &NUMBERS, true)? {
             summary += &format!("{}\n", path.display());
         }
