@@ -174,7 +174,7 @@ fn growth_is_known_where_a_particle_is_wider_than_half_the_box() {
 #[test]
 fn forces_are_the_sums_over_all_touches() {
     // the growth of particles is slowed down where contacts are soft
-    [50.0, 0.5].map(forces_of_contacts_are_the_sums_over_all);
+    [50.0, 0.5].into_iter().for_each(forces_of_contacts_are_the_sums_over_all);
 }
 
 fn forces_of_contacts_are_the_sums_over_all(epsilon: f64) {

@@ -164,6 +164,9 @@ fn forces_are_foreseen_where_contacts_open_and_close() {
     packing.prepare_for_reach().unwrap();
     packing.max_force().unwrap();
     assert_eq!(packing.forces(), before, "stored in the same order");
+    let (still, present) =
+        (Stiffness::ahead(&mut packing, 1.0, &vec![[0.0; 2]; moves.len()]), Stiffness::of(&mut packing, 1.0));
+    assert!(still.0 == present.unwrap(), "where nothing moves contacts are the present ones, to the last bit");
     let ahead = Stiffness::ahead(&mut packing, 1.0, &moves);
     let plain = (Stiffness::of(&mut packing, 1.0).unwrap(), vec![[0.0; 2]; before.len()]);
     let [ahead, plain] = [ahead, plain].map(|(form, changes)| {

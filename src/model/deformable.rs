@@ -334,7 +334,8 @@ impl<C: Contact> Model for Deformable<C> {
             let overlap = law.delta - d;
             let stays = overlap - dot(n, parting) > 0.0;
             let sign = if touch.energy < 0.0 { -1.0 } else { 1.0 };
-            let force = scale(sign * law.epsilon * overlap / (law.delta * law.delta), n);
+            // to the same bits as in `touch`: who looks ahead sees whether anything changes
+            let force = scale(sign * law.force_over_distance(d), touch.separation);
             let touches = overlap > 0.0;
             if stays != touches {
                 let change = if stays { force } else { scale(-1.0, force) };

@@ -35,8 +35,7 @@ impl Kernel for OutlineForces<'_> {
         let bodies = &view.particles.bodies;
         let origin = bodies.points(particles.start).start;
         let narrowed = view.lists.narrowed(particles.start);
-        let mut scratch = Scratch::default();
-        let held = model.parameters.held_growth();
+        let mut scratch = Scratch { held: model.parameters.held_growth(), ..Scratch::default() };
         for p in particles {
             let points = bodies.points(p);
             let (mine, n) = (points.start - origin..points.end - origin, points.len());
@@ -50,7 +49,7 @@ impl Kernel for OutlineForces<'_> {
             scratch.contacts(l, model.parameters.contact, &touching);
             scratch.add_up(&touching, n);
             let (forces, accelerations) = (&mut forces[mine.start..], &mut accelerations[mine.start..]);
-            scratch.all_forces(l, &model.parameters, view.particles.size[p], held, n, forces, accelerations);
+            scratch.all_forces(l, &model.parameters, view.particles.size[p], n, forces, accelerations);
         }
     }
 }
@@ -68,6 +67,8 @@ fn eight(pairs: &[[u16; 2]]) -> &[[u16; 2]; LANES] {
 /// One particle at work.
 #[derive(Default)]
 struct Scratch {
+    /// See [`DeformableParameters::held_growth`].
+    held: f64,
     frame: OutlineFrame,
     /// For each facing pair the force on the vertex, and the part of it that falls to the end of the edge.
     pushes: Vec<Vec2>,
@@ -153,12 +154,11 @@ impl Scratch {
         l: impl Lanes,
         parameters: &DeformableParameters,
         rest_area: f64,
-        held: f64,
         n: usize,
         forces: &mut [Vec2],
         accelerations: &mut [Vec2],
     ) {
-        let Scratch { frame, on_vertex, force_x, force_y, .. } = self;
+        let Scratch { held, frame, on_vertex, force_x, force_y, .. } = self;
         if force_x.len() < n + LANES {
             force_x.resize(n + LANES, 0.0);
             force_y.resize(n + LANES, 0.0);
@@ -195,7 +195,7 @@ impl Scratch {
         let torque = l.sum(torque) - cross(mean, force);
         let rotation = [torque, frame.squares - dot(mean, frame.sum)];
         let growth = [l.sum(growth), l.sum(square)];
-        let Added { push, turn, growth } = Added::new(scale(per_vertex, force), rotation, growth, held);
+        let Added { push, turn, growth } = Added::new(scale(per_vertex, force), rotation, growth, *held);
         // push + turn × (arm from the mean vertex, turned by 90°)
         let (push_x, push_y) = (l.splat(push[0] + turn * mean[1]), l.splat(push[1] - turn * mean[0]));
         let (turn, growth) = (l.splat(turn), l.splat(growth));
