@@ -90,6 +90,8 @@ pub trait Lanes: Copy {
     fn div(self, a: Self::Real, b: Self::Real) -> Self::Real;
     fn sqrt(self, a: Self::Real) -> Self::Real;
     fn abs(self, a: Self::Real) -> Self::Real;
+    /// a, but no less than 0 and no more than 1.
+    fn clamp_to_unit(self, a: Self::Real) -> Self::Real;
     /// |a| with the sign of b.
     fn with_sign(self, a: Self::Real, b: Self::Real) -> Self::Real;
     /// The sum of all eight, in one order: halves, then quarters, then neighbours.
@@ -211,6 +213,11 @@ impl Lanes for Arrays {
     #[inline(always)]
     fn abs(self, a: Self::Real) -> Self::Real {
         a.map(f64::abs)
+    }
+
+    #[inline(always)]
+    fn clamp_to_unit(self, a: Self::Real) -> Self::Real {
+        a.map(|a| a.clamp(0.0, 1.0))
     }
 
     #[inline(always)]
@@ -452,6 +459,12 @@ mod avx512 {
         #[inline(always)]
         fn abs(self, a: __m512d) -> __m512d {
             unsafe { _mm512_abs_pd(a) }
+        }
+
+        #[inline(always)]
+        fn clamp_to_unit(self, a: __m512d) -> __m512d {
+            // of two zeros, and with a NaN, the second operand is taken
+            unsafe { _mm512_min_pd(_mm512_set1_pd(1.0), _mm512_max_pd(_mm512_setzero_pd(), a)) }
         }
 
         #[inline(always)]
@@ -723,6 +736,7 @@ mod tests {
                 (l.add(first, shifted_first), second),
                 (l.load(&stored[1..]), l.splat(l.sum(a))),
                 (l.abs(a), l.with_sign(a, b)),
+                (l.clamp_to_unit(a), l.clamp_to_unit(b)),
                 (l.keep(less, a), l.keep(up_to, b)),
                 (l.keep(l.first(3), a), l.keep(l.both(less, l.first(9)), b)),
                 (l.real(first_x), l.real(first_y)),

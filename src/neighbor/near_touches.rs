@@ -1,5 +1,5 @@
 use super::{Near, OutlineFrame};
-use crate::geometry::{Frac, PeriodicBox, closest_on_segment, dot, scale, sub};
+use crate::geometry::{Frac, PeriodicBox};
 use crate::lanes::{Kernel, LANES, Lanes};
 use crate::particles::Particles;
 use crate::threads::Chunk;
@@ -85,6 +85,7 @@ impl<'a, F: Fn(usize) -> Near<'a>> Kernel for Picking<'_, F> {
         let widths = pbox.widths();
         // what lies in one image stays there: the margin of the test is a twentieth of the box
         let far = travel > 0.02 * widths[0].min(widths[1]);
+        let range = Range { reach: reach + 2.0 * travel, approach: 2.0 * travel };
         let (mut frame, mut place) = (OutlineFrame::default(), Vec::new());
         for p in chunk.particles.clone() {
             let k = p - chunk.particles.start;
@@ -98,7 +99,7 @@ impl<'a, F: Fn(usize) -> Near<'a>> Kernel for Picking<'_, F> {
             if far || !fits || !is_in_one_image(particles, p, &near) {
                 made.wide.push(k as u32);
             } else {
-                made.add(&frame, vertices, &near, reach + 2.0 * travel, 2.0 * travel, &mut place);
+                made.add(l, &frame, vertices, &near, range, &mut place);
             }
         }
         made.begin_particle();
@@ -110,40 +111,40 @@ impl NearTouches {
     #[inline(always)]
     fn add(
         &mut self,
+        l: impl Lanes,
         frame: &OutlineFrame,
         vertices: usize,
         near: &Near,
-        reach: f64,
-        approach: f64,
+        range: Range,
         place: &mut Vec<u16>,
     ) {
         let first_other = OutlineFrame::first_other(vertices);
         let (faces, corners) = (self.faces.len(), self.corners.len());
         place.clear();
         place.resize(first_other + near.points.len(), 0);
-        for &[i, e] in near.edges {
-            let (vertex, edge) = (i as usize + 1, e as usize + first_other);
-            let may = Pair { frame, vertex, edge, approach }.may(reach);
-            if may.face {
-                self.faces.push([vertex as u16, edge as u16]);
-                place[edge..edge + 2].fill(1);
+        for pairs in near.edges.chunks(LANES) {
+            let slots = slots(pairs, |[i, e]| [i as usize + 1, e as usize + first_other]);
+            let [faces, corners] = range.may(l, frame, &slots, pairs.len());
+            for [vertex, edge] in chosen(&slots, faces) {
+                self.faces.push([vertex, edge]);
+                place[edge as usize..edge as usize + 2].fill(1);
             }
-            if may.meet_start {
-                self.corners.push([vertex as u16, edge as u16]);
-                place[edge - 1..edge + 2].fill(1);
+            for [vertex, edge] in chosen(&slots, corners) {
+                self.corners.push([vertex, edge]);
+                place[edge as usize - 1..edge as usize + 2].fill(1);
             }
         }
         let own = [self.faces.len() - faces, self.corners.len() - corners];
-        for &[i, v] in near.vertices {
-            let (edge, vertex) = (i as usize + 1, v as usize + first_other);
-            let may = Pair { frame, vertex, edge, approach }.may(reach);
-            if may.face {
-                self.faces.push([vertex as u16, edge as u16]);
-                place[vertex] = 1;
+        for pairs in near.vertices.chunks(LANES) {
+            let slots = slots(pairs, |[i, v]| [v as usize + first_other, i as usize + 1]);
+            let [faces, corners] = range.may(l, frame, &slots, pairs.len());
+            for [vertex, edge] in chosen(&slots, faces) {
+                self.faces.push([vertex, edge]);
+                place[vertex as usize] = 1;
             }
-            if may.meet_start {
-                self.corners.push([vertex as u16, edge as u16]);
-                place[vertex] = 1;
+            for [vertex, edge] in chosen(&slots, corners) {
+                self.corners.push([vertex, edge]);
+                place[vertex as usize] = 1;
             }
         }
         // only points that are used, in the order of the list; those side by side stay so
@@ -212,60 +213,91 @@ fn is_in_one_image(particles: &Particles, particle: usize, near: &Near) -> bool 
         let (i, other) = (i as usize, of_other(k));
         together(of_own(i), other) && together(of_own(after(i)), other)
     };
+    // two that lie within half of it in any direction from the origin are together
+    let is_close = |d: [i64; 2]| d.iter().all(|d| d.unsigned_abs() < MARGIN / 2);
+    if (0..own.len()).all(|i| is_close(of_own(i))) && (0..near.points.len()).all(|k| is_close(of_other(k as u32))) {
+        return true;
+    }
     (0..own.len()).all(|i| together(of_own(i), of_own(after(i))) && together(of_own(i), [0; 2]))
         && (0..near.points.len()).all(|k| together(of_other(k as u32), [0; 2]))
         && near.edges.iter().all(|&[i, e]| pair([i, e]) && pair([i, e + 1]))
         && near.vertices.iter().all(|&p| pair(p))
 }
 
-/// A vertex and an edge of another particle in a frame; either may come closer to the other by `approach`.
-struct Pair<'a> {
-    frame: &'a OutlineFrame,
-    vertex: usize,
-    edge: usize,
+/// Slots of the vertices and edges of up to eight pairs, the last one again up to eight.
+#[inline(always)]
+fn slots(pairs: &[[u32; 2]], slots_of: impl Fn([u32; 2]) -> [usize; 2]) -> [[u16; 2]; LANES] {
+    let mut slots = [[0; 2]; LANES];
+    for (k, slot) in slots.iter_mut().enumerate() {
+        *slot = slots_of(pairs[k.min(pairs.len() - 1)]).map(|s| s as u16);
+    }
+    slots
+}
+
+/// Those of eight whose bits are set.
+#[inline(always)]
+fn chosen(slots: &[[u16; 2]; LANES], mut bits: u8) -> impl Iterator<Item = [u16; 2]> {
+    std::iter::from_fn(move || {
+        (bits != 0).then(|| {
+            let k = bits.trailing_zeros() as usize;
+            bits &= bits - 1;
+            slots[k]
+        })
+    })
+}
+
+/// How near a vertex and an edge of another particle must be to be picked.
+#[derive(Clone, Copy)]
+struct Range {
+    reach: f64,
+    /// Either may come closer to the other by this.
     approach: f64,
 }
 
-struct May {
-    face: bool,
-    meet_start: bool,
-}
-
-impl Pair<'_> {
-    /// Whether the vertex may come within `reach` of the edge with its foot between the ends; and within `reach` of the
-    /// start of the edge, and there count as a corner: beyond the edge before and short of this one, or neither.
+impl Range {
+    /// Which of the first `count` of eight vertices may come within reach of their edges with their foot between the ends; and
+    /// which within reach of the start of the edge, and there count as a corner: beyond the edge before and short of this one,
+    /// or neither.
     ///
     /// What decides is the sign of products of two vectors, each of which may still change by `approach`.
     #[inline(always)]
-    fn may(&self, reach: f64) -> May {
-        const NOTHING: May = May { face: false, meet_start: false };
-        let f = self.frame;
-        let from = [f.x[self.vertex] - f.x[self.edge], f.y[self.vertex] - f.y[self.edge]];
-        let along = [f.along_x[self.edge], f.along_y[self.edge]];
-        let (from2, length2) = (dot(from, from), dot(along, along));
-        let length = length2 * f.per_length[self.edge];
-        let farthest = reach + length;
-        if from2 >= farthest * farthest {
-            return NOTHING;
-        }
-        let distance = from2.sqrt();
-        let may_change = |a: f64, b: f64| (1.0 + 1e-12) * self.approach * (a + b + self.approach);
-        let change = may_change(distance, length);
-        let forward = dot(from, along);
+    fn may<L: Lanes>(self, l: L, frame: &OutlineFrame, slots: &[[u16; 2]; LANES], count: usize) -> [u8; 2] {
+        let f = frame;
+        let [at_x, at_y] = l.rows::<2, false>([&f.x, &f.y], slots);
+        let [start_x, start_y, x, y, per_length] =
+            l.rows::<5, true>([&f.x, &f.y, &f.along_x, &f.along_y, &f.per_length], slots);
+        let (from_x, from_y) = (l.sub(at_x, start_x), l.sub(at_y, start_y));
+        let zero = l.splat(0.0);
+        let approach = l.splat((1.0 + 1e-12) * self.approach);
+        let distance2 = l.add(l.mul(from_x, from_x), l.mul(from_y, from_y));
+        let distance = l.sqrt(distance2);
+        let length2 = l.add(l.mul(x, x), l.mul(y, y));
+        let length = l.mul(length2, per_length);
+        let near = l.add(distance, approach);
+        let change = l.mul(approach, l.add(near, length));
+        let forward = l.add(l.mul(from_x, x), l.mul(from_y, y));
         // no farther from the end than from the start and along the edge
-        let may_face = forward >= -change && forward - length2 <= may_change(distance + length, length) && {
-            let t = closest_on_segment(from, along);
-            let apart = sub(from, scale(t, along));
-            dot(apart, apart) < reach * reach
-        };
-        let may_meet_start = distance < reach && {
-            let before = [f.along_x[self.edge - 1], f.along_y[self.edge - 1]];
-            let length2 = dot(before, before);
-            let length = length2 * f.per_length[self.edge - 1];
-            let beyond = dot(from, before);
-            let certain = forward.abs() > change && beyond.abs() > may_change(distance, length);
-            !certain || (beyond > 0.0) == (forward < 0.0)
-        };
-        May { face: may_face, meet_start: may_meet_start }
+        let change_at_end = l.add(change, l.mul(approach, length));
+        let between = l.both(l.up_to(l.sub(zero, change), forward), l.up_to(l.sub(forward, length2), change_at_end));
+        let foot = l.clamp_to_unit(l.mul(forward, l.mul(per_length, per_length)));
+        let (apart_x, apart_y) = (l.sub(from_x, l.mul(foot, x)), l.sub(from_y, l.mul(foot, y)));
+        let apart2 = l.add(l.mul(apart_x, apart_x), l.mul(apart_y, apart_y));
+        let reach2 = l.splat(self.reach * self.reach);
+        let counted = l.first(count);
+        let faces = l.bits(l.both(counted, l.both(between, l.less(apart2, reach2))));
+        let meets = l.bits(l.both(counted, l.less(distance2, reach2)));
+        if meets == 0 {
+            return [faces, 0];
+        }
+        let before = slots.map(|[vertex, edge]| [vertex, edge - 1]);
+        let [x, y, per_length] = l.rows::<3, true>([&f.along_x, &f.along_y, &f.per_length], &before);
+        let length = l.mul(l.add(l.mul(x, x), l.mul(y, y)), per_length);
+        let change_before = l.mul(approach, l.add(near, length));
+        let beyond = l.add(l.mul(from_x, x), l.mul(from_y, y));
+        let is_certain = l.both(l.less(change, l.abs(forward)), l.less(change_before, l.abs(beyond)));
+        let past = l.less(zero, beyond);
+        let short = l.less(forward, zero);
+        let past_one = l.bits(past) ^ l.bits(short);
+        [faces, meets & !(l.bits(is_certain) & past_one)]
     }
 }
