@@ -3,7 +3,7 @@
 use jamhpc::comm::Comm;
 use jamhpc::engine::{EngineError, System};
 use jamhpc::geometry::{PeriodicBox, Vec2};
-use jamhpc::minimize::{Fire, Goal, Minimized, Minimizer, Newton, Report};
+use jamhpc::minimize::{Fire, Goal, HeavyBall, Minimized, Minimizer, Newton, Report};
 use jamhpc::model::{Deformable, DeformableParameters, Harmonic, SoftDisks, VertexEdge};
 use jamhpc::observe::check_no_crossing;
 use jamhpc::particles::{Bodies, Particles};
@@ -97,6 +97,23 @@ fn a_coarse_goal_near_the_onset_is_reached_through_soft_contacts() {
     });
     let fire = evaluations(&|packing| compress_to(packing, &Fire, &goal(1e-3), 0.85).unwrap());
     assert!(2 * newton < fire, "{newton} {fire}");
+}
+
+#[test]
+fn motion_with_friction_ends_in_the_minimum_that_fire_finds() {
+    let mut packing = dilute(0.01, 1);
+    for density in [0.78, 0.84, 0.90] {
+        compress_to(&mut packing, &Newton, &goal(1e-3), density).unwrap();
+    }
+    let (pbox, before) = (*packing.pbox(), packing.own_particles());
+    relaxed(HeavyBall.minimize(&mut packing, &goal(1e-8)).unwrap());
+    assert!(packing.max_force().unwrap() <= 1e-8);
+    let by_friction = packing.energies().unwrap();
+    packing.restore(pbox, before);
+    relaxed(Fire.minimize(&mut packing, &goal(1e-8)).unwrap());
+    let by_fire = packing.energies().unwrap();
+    assert!((by_friction.total / by_fire.total - 1.0).abs() < 1e-12, "{by_friction:?} {by_fire:?}");
+    assert!((by_friction.pressure() / by_fire.pressure() - 1.0).abs() < 1e-7, "{by_friction:?} {by_fire:?}");
 }
 
 #[test]

@@ -32,14 +32,14 @@ const STEP_LEAST: f64 = 0.01;
 /// What one step is decided by. With f the accelerations, M⁻¹F, the scalar products are those of mass-weighted
 /// coordinates: F·f = |F|² and vᵀMv = |v|² there.
 #[derive(Clone, Copy, Debug, Default)]
-struct Norms {
+pub(super) struct Norms {
     /// F·v.
     power: f64,
     /// F·f.
     force2: f64,
-    max_force: f64,
-    max_velocity: f64,
-    max_acceleration: f64,
+    pub max_force: f64,
+    pub max_velocity: f64,
+    pub max_acceleration: f64,
 }
 
 /// What it knows between two steps, besides the velocities.
@@ -134,15 +134,15 @@ impl Minimizer for Fire {
 }
 
 /// The step of a run of points: v ← keep v + push f, x ← x + dt v − step_back (v before).
-struct Step<'a> {
-    pbox: &'a PeriodicBox,
-    keep: f64,
-    push: f64,
-    dt: f64,
-    step_back: f64,
-    positions: &'a mut [Frac],
-    velocities: &'a mut [Vec2],
-    forces: &'a [Vec2],
+pub(super) struct Step<'a> {
+    pub pbox: &'a PeriodicBox,
+    pub keep: f64,
+    pub push: f64,
+    pub dt: f64,
+    pub step_back: f64,
+    pub positions: &'a mut [Frac],
+    pub velocities: &'a mut [Vec2],
+    pub forces: &'a [Vec2],
 }
 
 impl Kernel for Step<'_> {
@@ -184,7 +184,7 @@ impl Kernel for Partial<'_> {
 
 /// Forces at the present positions, and the norms of the step: one fused reduction, repeated only when forces or
 /// velocities have outgrown the grids of the sums.
-fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<2>) -> Result<Norms, EngineError> {
+pub(super) fn measure<M: Model>(system: &mut System<M>, fused: &mut FusedSums<2>) -> Result<Norms, EngineError> {
     let partial = |grids: &[Grid; 2], forces: &[Vec2], accelerations: &[Vec2], velocities: &[Vec2]| {
         // the compiler sees that these are the same, and reads them once
         let accelerations = if M::BODIES { accelerations } else { forces };

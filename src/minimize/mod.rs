@@ -2,10 +2,12 @@
 
 mod conjugate_gradient;
 mod fire;
+mod heavy_ball;
 mod newton;
 
 pub use conjugate_gradient::ConjugateGradient;
 pub use fire::Fire;
+pub use heavy_ball::HeavyBall;
 pub use newton::Newton;
 
 use crate::engine::{EngineError, System};

@@ -5,7 +5,7 @@ use crate::systems::*;
 use jamhpc::comm::Comm;
 use jamhpc::engine::{System, Watch};
 use jamhpc::geometry::PeriodicBox;
-use jamhpc::minimize::{ConjugateGradient, Fire, Goal, Minimizer, Newton};
+use jamhpc::minimize::{ConjugateGradient, Fire, Goal, HeavyBall, Minimizer, Newton};
 use jamhpc::model::{Contact, Deformable, EdgeEdge, Model, VertexEdge};
 use jamhpc::observe::{Contacts, PackingFraction, Rattlers, Shape, Voids, rattler_ids};
 use jamhpc::particles::Particles;
@@ -142,11 +142,19 @@ fn in_turns<M: Model + Clone>(
     expected
 }
 
-pub fn turns_fire(comm: Comm) -> Outcome {
+fn turns_with_hard_contacts(comm: Comm, minimizer: impl Minimizer) -> Outcome {
     let mut system = random_dp::<VertexEdge>(comm, 64, unit_box(0.0), 0.75, 0.9);
     let tighter = system.pbox().with_area(0.88 * system.pbox().area());
     system.deform_rigidly(tighter);
-    in_turns(system, Fire, &goal(1e-9, 500), 0)
+    in_turns(system, minimizer, &goal(1e-9, 500), 0)
+}
+
+pub fn turns_fire(comm: Comm) -> Outcome {
+    turns_with_hard_contacts(comm, Fire)
+}
+
+pub fn turns_heavy_ball(comm: Comm) -> Outcome {
+    turns_with_hard_contacts(comm, HeavyBall)
 }
 
 /// Its Newton steps are interrupted, too, and lists that are younger then must not be seen in its report. As many particles

@@ -63,6 +63,7 @@ fn main() -> std::process::ExitCode {
         Case::new("newton_dp", invariance::newton_dp, FEW),
         Case::new("cg_dp", invariance::cg_dp, ONE_AND_FOUR),
         Case::new("turns_fire", invariance::turns_fire, TO_FOUR),
+        Case::new("turns_heavy_ball", invariance::turns_heavy_ball, TO_FOUR),
         Case::new("turns_newton", invariance::turns_newton, TO_FOUR),
         Case::new("turns_cg", invariance::turns_cg, TO_FOUR),
         Case::new("onset_sp", invariance::onset_sp, RANKS_AND_THREADS),

@@ -1,7 +1,7 @@
 mod past;
 mod steps;
 
-use super::{ConjugateGradient, Fire, Goal, Minimized, Minimizer, RUNAWAY, Report};
+use super::{ConjugateGradient, Fire, Goal, HeavyBall, Minimized, Minimizer, RUNAWAY, Report};
 use crate::engine::{EngineError, System};
 use crate::model::Model;
 use crate::stiffness::Cholesky;
@@ -67,6 +67,8 @@ const FINE: f64 = 1e-5;
 /// so many more.
 const PATIENCE: u64 = 10_000;
 const PATIENT_FROM: f64 = 1000.0;
+/// In systems of so many points and more FIRE does not come to rest on hard contacts ([`HeavyBall`]).
+const MANY: u64 = 100_000;
 /// Largest overlap of contacts, over [`Model::step_cap`], that forces may tell of for a change to count as small.
 const SMALL: f64 = 0.1;
 
@@ -84,6 +86,7 @@ impl Minimizer for Newton {
             unit: system.model.force_unit(),
             stiffest: 0.0,
             is_gentle: false,
+            is_hard: false,
             patience: (PATIENCE as f64 * (system.n_points() as f64 / PATIENT_FROM).sqrt().max(1.0)) as u64,
             cholesky: Cholesky::default(),
             report: Report::default(),
@@ -124,6 +127,8 @@ struct Search<'a> {
     stiffest: f64,
     /// Whether contacts began softer than [`SOFTEST`], as near the onset.
     is_gentle: bool,
+    /// Whether contacts have hardened to their full stiffness.
+    is_hard: bool,
     /// See [`PATIENCE`].
     patience: u64,
     cholesky: Cholesky,
@@ -170,6 +175,7 @@ impl Search<'_> {
             let next = (harder * level).min(1.0);
             let tolerance = if next == 1.0 { self.goal.force_tolerance } else { fine };
             system.model = at(next);
+            self.is_hard = next == 1.0;
             if is_fine && self.attempt(system, tolerance, level / next)? {
                 harder = HARDER;
             } else if self.is_gentle && harder > HARDER_LEAST {
@@ -310,6 +316,9 @@ impl Search<'_> {
                 return Ok(true);
             }
             left -= patient(left).max_iterations;
+        }
+        if self.is_hard && system.n_points() >= MANY {
+            return self.relax(system, &HeavyBall, &patient(left));
         }
         self.relax(system, &Fire, &patient(left))
     }
