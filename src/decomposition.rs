@@ -14,7 +14,8 @@ pub struct ProcessGrid {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "{ranks} ranks do not fit this box: a subdomain would be {width:.3} wide, and particles interact over {halo:.3}. \
-     At most {largest} ranks fit; start with `mpirun -n {largest}` (threads can use the other cores: --threads)"
+     At most {largest} ranks fit: `mpirun -n {largest}`, or `ranks = {largest}` in a study (threads can use the other cores: \
+     --threads)"
 )]
 pub struct TooManyRanks {
     pub ranks: usize,

@@ -17,7 +17,7 @@ pub struct Modulus {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stability {
-    /// The state is a minimum as far as the strains can tell.
+    /// No strain has met with a negative mode of the Hessian. Whether forces are balanced it does not say.
     #[default]
     Stable,
     /// The Hessian has a negative mode: the state is not relaxed, or a saddle point.

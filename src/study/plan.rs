@@ -68,12 +68,7 @@ fn one() -> u64 {
 impl Plan {
     /// Reads and checks a study. `origin` is the file's name in messages.
     pub fn parse(text: &str, origin: &str) -> Result<Plan, PlanError> {
-        let parsed: Text = toml::from_str(text).map_err(|e| {
-            let line = |at: usize| 1 + text.bytes().take(at).filter(|&byte| byte == b'\n').count();
-            let place = e.span().map_or(String::new(), |span| format!(":{}", line(span.start)));
-            let advice = "`jamhpc init study` prints a commented study";
-            PlanError(format!("{origin}{place}: {}; {advice}", e.message().trim().replace('\n', ", ")))
-        })?;
+        let parsed: Text = toml::from_str(text).map_err(|e| PlanError(refusal(&e, text, origin)))?;
         let mut groups: Vec<Group> = Vec::new();
         for (k, ensemble) in parsed.ensemble.iter().enumerate() {
             let refuse = |problem: String| PlanError(format!("{origin}: ensemble {}: {problem}", k + 1));
@@ -108,6 +103,21 @@ impl Plan {
     pub fn members(&self) -> impl Iterator<Item = Member<'_>> {
         self.groups.iter().flat_map(|group| group.seeds.clone().map(move |seed| Member { group, seed }))
     }
+}
+
+/// What is wrong with a text that is no study, and in which of its lines.
+fn refusal(error: &toml::de::Error, text: &str, origin: &str) -> String {
+    let place = error.span().map_or(String::new(), |span| {
+        let number = text.bytes().take(span.start).filter(|&byte| byte == b'\n').count();
+        let line: String = text.lines().nth(number).unwrap_or_default().trim().chars().take(60).collect();
+        format!(":{}: `{line}`", number + 1)
+    });
+    // what serde calls the kinds of values
+    let kinds =
+        [("u64", "an integer from 0"), ("usize", "an integer from 0"), ("a sequence", "a list"), ("a map", "a table")];
+    let problem = error.message().trim().replace('\n', ", ");
+    let problem = kinds.iter().fold(problem, |problem, (kind, name)| problem.replace(kind, name));
+    format!("{origin}{place}: {problem}; `jamhpc init study` prints a commented study")
 }
 
 impl Ensemble {
@@ -240,6 +250,10 @@ mod tests {
         assert!(refusal("x = 1").contains("unknown field `x`"));
         assert!(refusal(&STUDY.replace("seeds = 3", "sedes = 3")).contains("unknown field `sedes`"));
         assert!(refusal(&STUDY.replace("seeds = 3", "seeds = 0")).contains("integer from 1"));
+        let of_wrong_kind = refusal(&STUDY.replace("seeds = 3", "seeds = 'x'"));
+        assert!(
+            of_wrong_kind.contains("s.toml:3: `seeds = 'x'`: invalid type: string \"x\", expected an integer from 0")
+        );
         assert!(refusal(&STUDY.replace("[8, 16]", "[1]")).contains("n_particles"));
         assert!(refusal(&STUDY.replace("[8, 16]", "[8, 8]")).contains("sp-N8 is there already"));
         assert!(refusal(&STUDY.replace("'sp'", "'xp'")).contains("ensemble 1: `model`"));
