@@ -1,4 +1,4 @@
-use super::{Goal, Minimized, Minimizer, RUNAWAY, Report, memory_of, remembered};
+use super::{Goal, Minimized, Minimizer, Report, memory_of, remembered};
 use crate::comm::{FusedSums, Grid, Sums, Totals};
 use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, dot};
@@ -100,19 +100,9 @@ impl Minimizer for ConjugateGradient {
                 return Ok(None);
             }
             let trial = measure(system, &mut sums)?;
-            report.force_evaluations += 1;
-            report.max_force = trial.max_force;
-            if trial.max_force.is_nan() || trial.max_force >= RUNAWAY {
-                let particle = system.offender(RUNAWAY).unwrap_or_default();
-                return Err(EngineError::Runaway { particle });
+            if let Some(end) = report.count(system, goal, trial.max_force)? {
+                return Ok(Some(end));
             }
-            if trial.max_force <= goal.force_tolerance {
-                return Ok(Some(Minimized::Converged(report)));
-            }
-            if report.iterations >= goal.max_iterations {
-                return Ok(Some(Minimized::Unconverged(report)));
-            }
-            report.iterations += 1;
 
             // where the slope vanishes, in trial steps
             let zero = match base.slope - trial.slope {

@@ -1,4 +1,4 @@
-use super::{Goal, Minimized, Minimizer, RUNAWAY, Report, memory_of, remembered};
+use super::{Goal, Minimized, Minimizer, Report, memory_of, remembered};
 use crate::comm::{FusedSums, Grid, Sums, Totals};
 use crate::engine::{EngineError, System};
 use crate::geometry::{Frac, PeriodicBox, Vec2, dot};
@@ -87,19 +87,9 @@ impl Minimizer for Fire {
                 return Ok(None);
             }
             let norms = measure(system, &mut sums)?;
-            report.force_evaluations += 1;
-            report.max_force = norms.max_force;
-            if norms.max_force.is_nan() || norms.max_force >= RUNAWAY {
-                let particle = system.offender(RUNAWAY).unwrap_or_default();
-                return Err(EngineError::Runaway { particle });
+            if let Some(end) = report.count(system, goal, norms.max_force)? {
+                return Ok(Some(end));
             }
-            if norms.max_force <= goal.force_tolerance {
-                return Ok(Some(Minimized::Converged(report)));
-            }
-            if report.iterations >= goal.max_iterations {
-                return Ok(Some(Minimized::Unconverged(report)));
-            }
-            report.iterations += 1;
 
             let downhill = norms.power > 0.0 || velocity2 == 0.0;
             let step_back = if downhill { 0.0 } else { 0.5 * dt };

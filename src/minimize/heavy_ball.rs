@@ -1,5 +1,5 @@
 use super::fire::{Norms, Step, measure};
-use super::{Goal, Minimized, Minimizer, RUNAWAY, Report, memory_of, remembered};
+use super::{Goal, Minimized, Minimizer, Report, memory_of, remembered};
 use crate::comm::{FusedSums, Grid};
 use crate::engine::{EngineError, System};
 use crate::lanes;
@@ -56,19 +56,9 @@ impl Minimizer for HeavyBall {
                 return Ok(None);
             }
             let Norms { max_force, max_velocity, max_acceleration, .. } = measure(system, &mut sums)?;
-            report.force_evaluations += 1;
-            report.max_force = max_force;
-            if max_force.is_nan() || max_force >= RUNAWAY {
-                let particle = system.offender(RUNAWAY).unwrap_or_default();
-                return Err(EngineError::Runaway { particle });
+            if let Some(end) = report.count(system, goal, max_force)? {
+                return Ok(Some(end));
             }
-            if max_force <= goal.force_tolerance {
-                return Ok(Some(Minimized::Converged(report)));
-            }
-            if report.iterations >= goal.max_iterations {
-                return Ok(Some(Minimized::Unconverged(report)));
-            }
-            report.iterations += 1;
 
             let friction = (FRICTION_FALL / (report.iterations as f64 + FRICTION_FALL)).max(FRICTION_LEAST);
             let fastest = (1.0 - friction) * (max_velocity + dt * max_acceleration);

@@ -34,6 +34,37 @@ pub struct Report {
     pub max_force: f64,
 }
 
+impl Report {
+    /// Counts a force evaluation whose largest force is `max_force`. How the minimisation ends with it, if it does; else an
+    /// iteration is counted that begins with it. Collective.
+    fn count<M: Model>(
+        &mut self,
+        system: &System<M>,
+        goal: &Goal,
+        max_force: f64,
+    ) -> Result<Option<Minimized>, EngineError> {
+        self.force_evaluations += 1;
+        self.max_force = max_force;
+        check_not_runaway(system, max_force)?;
+        if max_force <= goal.force_tolerance {
+            return Ok(Some(Minimized::Converged(*self)));
+        }
+        if self.iterations >= goal.max_iterations {
+            return Ok(Some(Minimized::Unconverged(*self)));
+        }
+        self.iterations += 1;
+        Ok(None)
+    }
+}
+
+/// Refuses forces that can only come from a broken state. Collective.
+fn check_not_runaway<M: Model>(system: &System<M>, max_force: f64) -> Result<(), EngineError> {
+    if max_force.is_nan() || max_force >= RUNAWAY {
+        return Err(EngineError::Runaway { particle: system.offender(RUNAWAY).unwrap_or_default() });
+    }
+    Ok(())
+}
+
 /// How a minimisation ended. Whoever minimises must say what becomes of a state that is not force-balanced.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[must_use = "a state that is not converged is not a result"]

@@ -68,7 +68,7 @@ fn one() -> u64 {
 impl Plan {
     /// Reads and checks a study. `origin` is the file's name in messages.
     pub fn parse(text: &str, origin: &str) -> Result<Plan, PlanError> {
-        let parsed: Text = toml::from_str(text).map_err(|e| PlanError(refusal(&e, text, origin)))?;
+        let parsed: Text = toml::from_str(text).map_err(|e| PlanError(misread(&e, text, origin)))?;
         let mut groups: Vec<Group> = Vec::new();
         for (k, ensemble) in parsed.ensemble.iter().enumerate() {
             let refuse = |problem: String| PlanError(format!("{origin}: ensemble {}: {problem}", k + 1));
@@ -106,7 +106,7 @@ impl Plan {
 }
 
 /// What is wrong with a text that is no study, and in which of its lines.
-fn refusal(error: &toml::de::Error, text: &str, origin: &str) -> String {
+fn misread(error: &toml::de::Error, text: &str, origin: &str) -> String {
     let place = error.span().map_or(String::new(), |span| {
         let number = text.bytes().take(span.start).filter(|&byte| byte == b'\n').count();
         let line: String = text.lines().nth(number).unwrap_or_default().trim().chars().take(60).collect();

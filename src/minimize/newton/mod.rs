@@ -1,7 +1,7 @@
 mod past;
 mod steps;
 
-use super::{ConjugateGradient, Fire, Goal, HeavyBall, Minimized, Minimizer, RUNAWAY, Report};
+use super::{ConjugateGradient, Fire, Goal, HeavyBall, Minimized, Minimizer, Report, check_not_runaway};
 use crate::engine::{EngineError, System};
 use crate::model::Model;
 use crate::stiffness::Cholesky;
@@ -418,10 +418,7 @@ impl Search<'_> {
         let max_force = system.max_force()?;
         self.report.force_evaluations += 1;
         self.report.max_force = max_force;
-        if max_force.is_nan() || max_force >= RUNAWAY {
-            let particle = system.offender(RUNAWAY).unwrap_or_default();
-            return Err(EngineError::Runaway { particle });
-        }
+        check_not_runaway(system, max_force)?;
         Ok(max_force)
     }
 }
