@@ -67,7 +67,7 @@ fn dilute(comm: Comm, n: u32, stiffness: f64) -> Packing {
     let k_area = 1000.0 / (small * small);
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(DELTA)).sum();
     let at = |density: f64| PeriodicBox::square((area / density).sqrt());
-    let (comm, polygons) = deformable_particles(comm, at(0.7), &species, 1, DELTA).expect("a dilute start");
+    let (comm, polygons) = deformable_particles(comm, at(0.7), &species, 1, DELTA, 0.0).expect("a dilute start");
     let model = Deformable::new(DeformableParameters {
         line_tension: 1.0,
         k_area,

@@ -137,6 +137,8 @@ pub enum Contact {
 pub struct Initial {
     /// Particle area over box area.
     pub packing_fraction: f64,
+    /// Centres are first spread evenly, relaxed as disks that cover this part of the box; 0 leaves them as random as they are.
+    pub spread: f64,
 }
 
 /// Search for the jamming onset. `step` and `smallest_step` are increments of phi (sp) or rho (dp).
@@ -503,6 +505,7 @@ const KEYS: &[Key] = &[
     dp("potential.stiffness", Float(1e-6, 1e3), ""),
     dp("potential.contact", Choice(&["vertex-edge", "edge-edge"]), "\"vertex-edge\""),
     both("initial.packing_fraction", Float(0.01, 0.7), "0.2"),
+    both("initial.spread", Float(0.0, 1.5), "0.0"),
     sp("onset.step", Float(1e-8, 0.1), "0.001"),
     dp("onset.step", Float(1e-8, 0.1), "0.01"),
     both("onset.smallest_step", Float(1e-12, 0.01), "1e-8"),
@@ -930,6 +933,11 @@ fn check_rules(scene: &Scene) -> Result<(), Fault> {
         format!("`minimize.force_tolerance` = {tolerance} must be below the low `onset.pressure` = {lo}: lower it")
     })?;
 
+    let Initial { packing_fraction: start, spread } = scene.initial;
+    refuse_if(spread != 0.0 && spread <= start, "initial.spread", || {
+        format!("`initial.spread` = {spread} must be above `initial.packing_fraction` = {start}, or 0: raise it")
+    })?;
+
     match &scene.compression {
         Compression::Increments { increments } => {
             let unsorted = increments.windows(2).find(|pair| pair[0] >= pair[1]).unwrap_or(&[]);
@@ -937,18 +945,14 @@ fn check_rules(scene: &Scene) -> Result<(), Fault> {
                 format!("`compression.increments` must ascend, but has {unsorted:?}: sort them, each once")
             })
         }
-        Compression::Until { until, .. } => {
-            let start = scene.initial.packing_fraction;
-            refuse_if(*until <= start, "compression.until", || {
-                format!("`compression.until` = {until} must be above `initial.packing_fraction` = {start}: raise it")
-            })
-        }
+        Compression::Until { until, .. } => refuse_if(*until <= start, "compression.until", || {
+            format!("`compression.until` = {until} must be above `initial.packing_fraction` = {start}: raise it")
+        }),
         Compression::Log { log: LogSteps { from, to, .. } } => refuse_if(from >= to, "compression.log.from", || {
             let (from, to) = (show(*from), show(*to));
             format!("`compression.log.from` = {from} must be below `compression.log.to` = {to}: lower it")
         }),
         Compression::Densities { densities } => {
-            let start = scene.initial.packing_fraction;
             let from_start: Vec<f64> = [start].iter().chain(densities).copied().collect();
             let unsorted = from_start.windows(2).find(|pair| pair[0] >= pair[1]).unwrap_or(&[]);
             refuse_if(!unsorted.is_empty(), "compression.densities", || {

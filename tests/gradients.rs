@@ -181,7 +181,7 @@ fn forces_are_the_sums_over_all_touches() {
 fn forces_of_contacts_are_the_sums_over_all(epsilon: f64, rounding: f64) {
     let species = [(12, 0.7), (17, 1.4)].map(|(n_vertices, size)| Species { count: 32, size, n_vertices });
     let dilute = PeriodicBox::new(10.0, 10.0, 2.0);
-    let (comm, polygons) = deformable_particles(Comm::alone(), dilute, &species, 1, 0.1).unwrap();
+    let (comm, polygons) = deformable_particles(Comm::alone(), dilute, &species, 1, 0.1, 0.0).unwrap();
     let model = Deformable::<VertexEdge>::new(parameters(1.0, 300.0, epsilon, 0.2));
     let dense = PeriodicBox::new(9.7, 9.7, 1.5);
     let mut system = System::new(comm, model, dilute, &dense, polygons, 0.1).unwrap();

@@ -28,7 +28,7 @@ fn dilute(stiffness: f64, seed: u64) -> Packing {
     let k_area = 1000.0 / (small * small);
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(DELTA)).sum();
     let at = |density: f64| PeriodicBox::square((area / density).sqrt());
-    let (comm, polygons) = deformable_particles(Comm::alone(), at(0.7), &species, seed, DELTA).unwrap();
+    let (comm, polygons) = deformable_particles(Comm::alone(), at(0.7), &species, seed, DELTA, 0.0).unwrap();
     let model = Deformable::new(DeformableParameters {
         line_tension: 1.0,
         k_area,

@@ -30,7 +30,7 @@ pub fn deformable(comm: Comm, n: u32) -> System<Deformable<VertexEdge>> {
     let (delta, k_area) = (0.1, 1000.0 / (small * small));
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(delta)).sum();
     let at = |density: f64| PeriodicBox::square((area / density).sqrt());
-    let (comm, polygons) = deformable_particles(comm, at(0.7), &species, 1, delta).expect("a dilute start");
+    let (comm, polygons) = deformable_particles(comm, at(0.7), &species, 1, delta, 0.0).expect("a dilute start");
     let model = Deformable::<VertexEdge>::new(DeformableParameters {
         line_tension: 1.0,
         k_area,

@@ -8,7 +8,7 @@ mod onset;
 mod shear;
 
 pub use compression::compress_to;
-pub use initial::{START_SKIN, Species, deformable_particles, random_disks};
+pub use initial::{START_SKIN, Species, deformable_particles, random_disks, spread_disks, widening};
 pub use onset::{Onset, OnsetSearch, find_onset};
 pub use shear::{quasi_static_shear_modulus, shear_by};
 

@@ -7,7 +7,7 @@ use crate::geometry::PeriodicBox;
 use crate::minimize::Goal;
 use crate::model::{Contact, Deformable, DeformableParameters, Harmonic, SoftDisks};
 use crate::output::Header;
-use crate::protocol::{OnsetSearch, START_SKIN, Species, deformable_particles, random_disks};
+use crate::protocol::{OnsetSearch, START_SKIN, Species, deformable_particles, spread_disks, widening};
 use crate::scene::{self, Compression, DpPhysics, LINE_TENSION, Physics, Scene, SpPhysics};
 
 /// No packing of disks or polygons of several sizes jams above this density: the hexagonal crystal has 0.907.
@@ -36,21 +36,37 @@ pub fn check(ranks: usize, scene: &Scene) -> Result<(), EngineError> {
     match &scene.physics {
         Physics::Sp(sp) => {
             let species = disk_species(scene, sp);
-            let largest = species.iter().map(|s| s.size).fold(0.0, f64::max);
-            fits(ranks, &Boxes::new(scene, &species, 0.0).smallest, true, [0.0, largest, skin])?;
+            let boxes = Boxes::new(scene, &species, 0.0);
+            let diameters: Vec<f64> = species.iter().map(|s| s.size).collect();
+            if scene.initial.spread > 0.0 {
+                let wider = widening(&boxes.start, &species, |s| s.size, scene.initial.spread);
+                start_fits(ranks, &boxes.start, &diameters, wider)?;
+            }
+            fits(ranks, &boxes.smallest, true, [0.0, largest(&diameters), skin])?;
         }
         Physics::Dp(dp) => {
             let delta = dp.potential.delta;
             let species = polygon_species(scene, dp);
-            let radii = species.iter().map(Species::circumradius);
-            let (smallest, largest) = radii.fold((f64::INFINITY, 0.0), |(s, l): (f64, f64), r| (s.min(r), l.max(r)));
             let boxes = Boxes::new(scene, &species, delta);
-            let diameter = |radius: f64| 2.0 * radius + delta;
-            fits(ranks, &boxes.start, true, [0.0, diameter(largest), START_SKIN * diameter(smallest)])?;
-            fits(ranks, &boxes.smallest, false, [largest, delta, skin])?;
+            let diameters: Vec<f64> = species.iter().map(|s| s.outer_diameter(delta)).collect();
+            let wider = widening(&boxes.start, &species, |s| s.outer_diameter(delta), scene.initial.spread);
+            start_fits(ranks, &boxes.start, &diameters, wider.max(1.0))?;
+            let radius = 0.5 * (largest(&diameters) - delta);
+            fits(ranks, &boxes.smallest, false, [radius, delta, skin])?;
         }
     }
     Ok(())
+}
+
+/// The same for the disks that centres are relaxed as: particles are that much `wider`.
+fn start_fits(ranks: usize, start: &PeriodicBox, diameters: &[f64], wider: f64) -> Result<(), EngineError> {
+    let smallest = diameters.iter().copied().fold(f64::INFINITY, f64::min);
+    fits(ranks, start, true, [0.0, wider * largest(diameters), wider * START_SKIN * smallest])?;
+    Ok(())
+}
+
+fn largest(diameters: &[f64]) -> f64 {
+    diameters.iter().copied().fold(0.0, f64::max)
 }
 
 fn disk_species(scene: &Scene, sp: &SpPhysics) -> Vec<Species> {
@@ -63,11 +79,11 @@ fn polygon_species(scene: &Scene, dp: &DpPhysics) -> Vec<Species> {
     species.map(|s| Species { count: s.count as u32, size: s.a0, n_vertices: s.n_vertices as u32 }).collect()
 }
 
-/// Soft disks at random centres.
+/// Soft disks at random centres, which may be spread evenly.
 pub fn soft_disks(comm: Comm, scene: &Scene, sp: &SpPhysics) -> Result<System<SoftDisks>, Failure> {
     let species = disk_species(scene, sp);
     let boxes = Boxes::new(scene, &species, 0.0);
-    let disks = random_disks(&comm, &species, scene.seed, |s| s.size);
+    let (comm, disks) = spread_disks(comm, boxes.start, &species, scene.seed, |s| s.size, scene.initial.spread)?;
     Ok(System::new(comm, disk_model(sp), boxes.start, &boxes.smallest, disks, scene.neighbor.skin)?)
 }
 
@@ -76,7 +92,7 @@ pub fn deformable<C: Contact>(comm: Comm, scene: &Scene, dp: &DpPhysics) -> Resu
     let delta = dp.potential.delta;
     let species = polygon_species(scene, dp);
     let boxes = Boxes::new(scene, &species, delta);
-    let (comm, polygons) = deformable_particles(comm, boxes.start, &species, scene.seed, delta)?;
+    let (comm, polygons) = deformable_particles(comm, boxes.start, &species, scene.seed, delta, scene.initial.spread)?;
     Ok(System::new(comm, deformable_model(dp), boxes.start, &boxes.smallest, polygons, scene.neighbor.skin)?)
 }
 

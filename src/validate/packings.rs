@@ -86,7 +86,7 @@ pub fn random_polygons(
         [12, 17].map(|n_v: u32| Species { count: n / 2, size: small * (n_v as f64 / 12.0).powi(2), n_vertices: n_v });
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(DELTA)).sum();
     let pbox = PeriodicBox::square((area / 0.7).sqrt());
-    let (comm, polygons) = deformable_particles(comm, pbox, &species, seed, DELTA)?;
+    let (comm, polygons) = deformable_particles(comm, pbox, &species, seed, DELTA, 0.0)?;
     let k_area = 1000.0 / (small * small);
     let model = Deformable::new(DeformableParameters {
         line_tension: 1.0,

@@ -171,7 +171,7 @@ pub fn area_ratio_80(comm: Comm) -> Outcome {
     let species = [Species { count: 300, size: 0.5, n_vertices: 12 }, Species { count: 3, size: 40.0, n_vertices: 48 }];
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(DELTA)).sum();
     let pbox = PeriodicBox::square((area / 0.7).sqrt());
-    let (comm, polygons) = deformable_particles(comm, pbox, &species, 3, DELTA).unwrap();
+    let (comm, polygons) = deformable_particles(comm, pbox, &species, 3, DELTA, 0.0).unwrap();
     let smaller = pbox.with_area(area / 0.8);
     let mut system = System::new(comm, model::<VertexEdge>(), pbox, &smaller, polygons, 0.1).unwrap();
     system.deform_rigidly(smaller);
@@ -329,7 +329,7 @@ pub fn deep_compression(comm: Comm) -> Outcome {
     let species = polygon_species(20); // the fewest that four ranks can share
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(THIN)).sum();
     let pbox = unit_box(0.0).with_area(area / 0.7);
-    let (comm, polygons) = deformable_particles(comm, pbox, &species, 1, THIN).unwrap();
+    let (comm, polygons) = deformable_particles(comm, pbox, &species, 1, THIN, 0.0).unwrap();
     let usual = polygon_parameters();
     let k_area = 3.0 * usual.k_area;
     let parameters = DeformableParameters {

@@ -83,6 +83,14 @@ pub fn fire_dp(comm: Comm) -> Outcome {
     relax(system, Fire, 5, 0.1)
 }
 
+/// Polygons about centres that were spread evenly.
+pub fn spread_start(comm: Comm) -> Outcome {
+    let mut system = spread_dp::<VertexEdge>(comm, 128, unit_box(0.0), 0.75, 0.9);
+    let tighter = system.pbox().with_area(0.8 * system.pbox().area());
+    system.deform_rigidly(tighter);
+    describe(&mut system)
+}
+
 /// Few particles: what matters is that accelerations are another vector than forces.
 pub fn cg_dp(comm: Comm) -> Outcome {
     let mut system = random_dp::<VertexEdge>(comm, 128, unit_box(0.0), 0.75, 0.9);

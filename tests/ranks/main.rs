@@ -58,6 +58,7 @@ fn main() -> std::process::ExitCode {
         Case::new("forces_dp_edge_edge", invariance::forces_dp_edge_edge, RANKS_AND_THREADS),
         Case::new("fire_sp", invariance::fire_sp, RANKS_AND_THREADS),
         Case::new("fire_dp", invariance::fire_dp, RANKS_AND_THREADS),
+        Case::new("spread_start", invariance::spread_start, FEW),
         Case::new("cg_sp", invariance::cg_sp, RANKS_AND_THREADS),
         Case::new("newton_sp", invariance::newton_sp, ONE_AND_FOUR),
         Case::new("newton_dp", invariance::newton_dp, FEW),

@@ -65,10 +65,31 @@ pub fn random_dp<C: Contact>(
     density: f64,
     densest: f64,
 ) -> System<Deformable<C>> {
+    polygons_of(comm, n, shape, [density, densest], 0.0)
+}
+
+/// The same about centres that are spread evenly.
+pub fn spread_dp<C: Contact>(
+    comm: Comm,
+    n: u32,
+    shape: PeriodicBox,
+    density: f64,
+    densest: f64,
+) -> System<Deformable<C>> {
+    polygons_of(comm, n, shape, [density, densest], 0.9)
+}
+
+fn polygons_of<C: Contact>(
+    comm: Comm,
+    n: u32,
+    shape: PeriodicBox,
+    [density, densest]: [f64; 2],
+    spread: f64,
+) -> System<Deformable<C>> {
     let species = polygon_species(n);
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(DELTA)).sum();
     let pbox = shape.with_area(area / density);
-    let (comm, polygons) = deformable_particles(comm, pbox, &species, 1, DELTA).unwrap();
+    let (comm, polygons) = deformable_particles(comm, pbox, &species, 1, DELTA, spread).unwrap();
     let model = Deformable::new(polygon_parameters());
     System::new(comm, model, pbox, &shape.with_area(area / densest), polygons, 0.1).unwrap()
 }
