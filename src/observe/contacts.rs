@@ -34,15 +34,17 @@ impl Contacts {
     /// The contacts of the present state, and its rattlers. Collective.
     pub fn of<M: Model>(system: &mut System<M>, rattlers: Rattlers) -> Result<Contacts, EngineError> {
         system.prepare()?;
-        let [touching, touched] = neighbors(system);
-        let is_rattler = remove_rattlers(system, &touched, rattlers);
+        let points = neighbors(system, |_, point| point);
+        let is_rattler = remove_rattlers(system, &points, rattlers);
         let removed = on_points(system, &is_rattler);
         // every contact is seen from both sides
-        let kept_ends = |p: usize| touched.row(p).iter().filter(|&&point| !removed[point as usize]).count() as u64;
+        let kept_ends = |p: usize| points.row(p).iter().filter(|&&point| !removed[point as usize]).count() as u64;
         let ends: u64 = (0..is_rattler.len()).filter(|&p| !is_rattler[p]).map(kept_ends).sum();
+        // of a million particles memory does not hold both at once
+        drop((points, removed));
         let rattlers_here = is_rattler.iter().filter(|&&r| r).count() as u64;
         Ok(Contacts {
-            touching,
+            touching: touching(system)?,
             n_particles: system.n_particles(),
             n_rattlers: system.comm.sum_count(rattlers_here),
             n_contacts: system.comm.sum_count(ends) / 2,
@@ -74,15 +76,21 @@ impl Contacts {
     }
 }
 
-/// For each own particle those that it touches, each once, in the order of global ids: their ids, and one point of each,
-/// own or foreign.
-fn neighbors<M: Model>(system: &System<M>) -> [Rows<u32>; 2] {
+/// For each own particle the global ids of all particles it touches, ascending, rattlers included. Collective.
+pub fn touching<M: Model>(system: &mut System<M>) -> Result<Rows<u32>, EngineError> {
+    system.prepare()?;
+    Ok(neighbors(system, |id, _| id))
+}
+
+/// For each own particle what is kept of those that it touches, each once, in the order of global ids: of its id and of one
+/// of its points, own or foreign.
+fn neighbors<M: Model>(system: &System<M>, keep: impl Fn(u32, u32) -> u32) -> Rows<u32> {
     let (view, particles) = (system.view(), system.particles());
     let mut particle_of = Vec::with_capacity(particles.owned_points());
     for p in 0..particles.len() {
         particle_of.resize(particles.bodies.points(p).end, p as u32);
     }
-    let (mut ids, mut points, mut found) = (Rows::default(), Rows::default(), Vec::new());
+    let (mut rows, mut found) = (Rows::default(), Vec::new());
     for p in 0..particles.len() {
         found.clear();
         system.model.for_each_contact(&view, p, |point, _| {
@@ -90,10 +98,9 @@ fn neighbors<M: Model>(system: &System<M>) -> [Rows<u32>; 2] {
         });
         found.sort_unstable();
         found.dedup_by_key(|&mut (id, _)| id);
-        ids.push_row(found.iter().map(|&(id, _)| id));
-        points.push_row(found.iter().map(|&(_, point)| point));
+        rows.push_row(found.iter().map(|&(id, point)| keep(id, point)));
     }
-    [ids, points]
+    rows
 }
 
 /// A flag of each own particle on all of its points, wherever they are known.

@@ -27,7 +27,8 @@ pub enum ProtocolError {
     Unconverged { density: f64, report: Report },
     #[error(
         "no random start: the disks around particles do not come to rest at density {density:.4}, max|F| = {:.3e} after {} \
-         iterations. Lower initial.packing_fraction", report.max_force, report.iterations
+         iterations. Lower initial.packing_fraction, or raise initial.spread if that is set", report.max_force,
+        report.iterations
     )]
     NoStart { density: f64, report: Report },
     #[error(

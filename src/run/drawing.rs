@@ -3,7 +3,7 @@
 use crate::engine::System;
 use crate::failure::Failure;
 use crate::model::Model;
-use crate::observe::{Contacts, PerParticle, Rattlers, Sample};
+use crate::observe::{PerParticle, Sample, touching};
 use crate::output::picture::Packing;
 use crate::output::render::{self, Look, write_packing};
 use crate::scene::ColorBy;
@@ -43,7 +43,7 @@ fn packing<M: Model>(
     color_by: ColorBy,
     part: Option<f64>,
 ) -> Result<Option<Packing>, Failure> {
-    let touching = Contacts::of(system, Rattlers::default())?.touching;
+    let touching = touching(system)?;
     let contacts = |p: usize| touching.row(p);
     let (values, value_name): (Cow<[f64]>, &str) = match color_by {
         ColorBy::Z => (columns.contacts.iter().map(|&n| n as f64).collect(), "contacts z"),
