@@ -137,7 +137,7 @@ pub enum Contact {
 pub struct Initial {
     /// Particle area over box area.
     pub packing_fraction: f64,
-    /// Centres are first spread evenly, relaxed as disks that cover this part of the box; 0 leaves them as random as they are.
+    /// Centres are first spread evenly, relaxed as disks that cover this part of the box; 0 leaves them random.
     pub spread: f64,
 }
 

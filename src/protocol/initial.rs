@@ -83,7 +83,7 @@ pub fn random_disks(comm: &Comm, species: &[Species], seed: u64, diameter: impl 
 
 /// Skin of the disks that centres are relaxed as, over the smallest of their diameters.
 pub const START_SKIN: f64 = 0.3;
-/// max|F| of disks that spread centres, in ε over the smallest diameter: that of one contact which overlaps by this part of it.
+/// max|F| of disks that spread centres, in ε over the smallest diameter: one contact overlaps by this part of it.
 const SPREAD: f64 = 1e-4;
 
 /// By how much disks at the centres of particles are wider that cover the part `spread` of a box ([`spread_disks`]).
@@ -95,8 +95,8 @@ pub fn widening(pbox: &PeriodicBox, species: &[Species], diameter: impl Fn(&Spec
 /// Disks at random centres that are first spread evenly: relaxed as wider ones which cover this part of the box; at the
 /// random centres themselves if `spread` is 0.
 ///
-/// Equal parts of a box hold different numbers of random centres. What is dense flows into what is not when particles jam,
-/// in thousands of steps more the longer the box, unless centres are spread before.
+/// Equal parts of a box hold different numbers of random centres. When particles jam, what is dense flows into what is
+/// not, in the more iterations the longer the box.
 pub fn spread_disks(
     comm: Comm,
     pbox: PeriodicBox,
@@ -139,9 +139,9 @@ fn relaxed(
 
 /// Regular polygons about random centres, none crossing another.
 ///
-/// Random polygons cross already at low density, and crossed polygons never untangle: first the centres, spread evenly if
-/// `spread` is not 0 ([`spread_disks`]), are relaxed as soft disks of the full outer size, circulo-lines included, until no two
-/// of them overlap by more than a hair. Polygon m is turned by its own random angle.
+/// Random polygons cross already at low density, and crossed polygons never untangle: first the centres, spread evenly
+/// if `spread` is not 0 ([`spread_disks`]), are relaxed as soft disks of the full outer size, circulo-lines included,
+/// until no two of them overlap by more than a hair. Polygon m is turned by its own random angle.
 pub fn deformable_particles(
     comm: Comm,
     pbox: PeriodicBox,
