@@ -85,7 +85,7 @@ pub fn fire_dp(comm: Comm) -> Outcome {
 
 /// Polygons about centres that were spread evenly.
 pub fn spread_start(comm: Comm) -> Outcome {
-    let mut system = spread_dp::<VertexEdge>(comm, 128, unit_box(0.0), 0.75, 0.9);
+    let mut system = polygons_of::<VertexEdge>(comm, 128, unit_box(0.0), [0.75, 0.9], 0.9);
     let tighter = system.pbox().with_area(0.8 * system.pbox().area());
     system.deform_rigidly(tighter);
     describe(&mut system)

@@ -68,18 +68,8 @@ pub fn random_dp<C: Contact>(
     polygons_of(comm, n, shape, [density, densest], 0.0)
 }
 
-/// The same about centres that are spread evenly.
-pub fn spread_dp<C: Contact>(
-    comm: Comm,
-    n: u32,
-    shape: PeriodicBox,
-    density: f64,
-    densest: f64,
-) -> System<Deformable<C>> {
-    polygons_of(comm, n, shape, [density, densest], 0.9)
-}
-
-fn polygons_of<C: Contact>(
+/// The same about centres that are spread evenly, if `spread` is not 0.
+pub fn polygons_of<C: Contact>(
     comm: Comm,
     n: u32,
     shape: PeriodicBox,
