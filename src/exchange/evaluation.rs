@@ -5,7 +5,7 @@ use crate::minimize::{Fire, Goal, Report};
 use crate::model::Model;
 use crate::observe::{
     Approximations, Contacts, Moduli, Modulus, Rattlers, Sample, ShapeParameter, Spectrum, Stability, Void,
-    VoidStatistics, Voids, rattler_ids,
+    VoidStatistics, Voids, all_pairs, rattler_ids,
 };
 use crate::particles::Bodies;
 use crate::protocol::{ProtocolError, quasi_static_shear_modulus};
@@ -169,7 +169,7 @@ impl Evaluation {
         let rattlers = Rattlers::default();
         let (sample, columns) = Sample::measure(system, &report, rattlers)?;
         let network = Contacts::of(system, rattlers)?;
-        let contacts = network.all_pairs(system);
+        let contacts = all_pairs(system)?;
         let rho = sample.density.packing_fraction;
         let is_disks = matches!(system.model.bodies(), Bodies::Disks);
         let (mut voids, mut void_statistics, mut approximations) = (None, None, None);

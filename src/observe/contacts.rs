@@ -18,8 +18,8 @@ impl Default for Rattlers {
 /// The contact network: particles, joined by one contact per touching pair, however many parts of their outlines touch.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Contacts {
-    /// For each own particle the global ids of all particles it touches, ascending, rattlers included.
-    pub touching: Rows<u32>,
+    /// How many particles each own particle touches, rattlers included.
+    pub n_touching: Vec<u32>,
     /// Whether each own particle is a rattler.
     pub is_rattler: Vec<bool>,
     /// N, on all ranks.
@@ -40,11 +40,9 @@ impl Contacts {
         // every contact is seen from both sides
         let kept_ends = |p: usize| points.row(p).iter().filter(|&&point| !removed[point as usize]).count() as u64;
         let ends: u64 = (0..is_rattler.len()).filter(|&p| !is_rattler[p]).map(kept_ends).sum();
-        // of a million particles memory does not hold both at once
-        drop((points, removed));
         let rattlers_here = is_rattler.iter().filter(|&&r| r).count() as u64;
         Ok(Contacts {
-            touching: touching(system)?,
+            n_touching: points.iter().map(|row| row.len() as u32).collect(),
             n_particles: system.n_particles(),
             n_rattlers: system.comm.sum_count(rattlers_here),
             n_contacts: system.comm.sum_count(ends) / 2,
@@ -61,25 +59,25 @@ impl Contacts {
     pub fn contact_number(&self) -> f64 {
         if self.n_backbone() == 0 { 0.0 } else { 2.0 * self.n_contacts as f64 / self.n_backbone() as f64 }
     }
-
-    /// All contacts as pairs of global ids, smaller first, ascending, on rank 0; nothing elsewhere. Rattlers included.
-    /// Collective. `contacts` must belong to the present state of `system`.
-    pub fn all_pairs<M: Model>(&self, system: &System<M>) -> Vec<[u32; 2]> {
-        let mut words = Vec::new();
-        for (&id, touching) in system.particles().id.iter().zip(self.touching.iter()) {
-            // the owner of the smaller id names the pair
-            words.extend(touching.iter().filter(|&&other| id < other).map(|&other| (id as u64) << 32 | other as u64));
-        }
-        let mut pairs = system.comm.gather(words).concat();
-        pairs.sort_unstable();
-        pairs.into_iter().map(|pair| [(pair >> 32) as u32, pair as u32]).collect()
-    }
 }
 
 /// For each own particle the global ids of all particles it touches, ascending, rattlers included. Collective.
 pub fn touching<M: Model>(system: &mut System<M>) -> Result<Rows<u32>, EngineError> {
     system.prepare()?;
     Ok(neighbors(system, |id, _| id))
+}
+
+/// All contacts as pairs of global ids, smaller first, ascending, on rank 0; nothing elsewhere. Rattlers included. Collective.
+pub fn all_pairs<M: Model>(system: &mut System<M>) -> Result<Vec<[u32; 2]>, EngineError> {
+    let touching = touching(system)?;
+    let mut words = Vec::new();
+    for (&id, touching) in system.particles().id.iter().zip(touching.iter()) {
+        // the owner of the smaller id names the pair
+        words.extend(touching.iter().filter(|&&other| id < other).map(|&other| (id as u64) << 32 | other as u64));
+    }
+    let mut pairs = system.comm.gather(words).concat();
+    pairs.sort_unstable();
+    Ok(pairs.into_iter().map(|pair| [(pair >> 32) as u32, pair as u32]).collect())
 }
 
 /// For each own particle what is kept of those that it touches, each once, in the order of global ids: of its id and of one
@@ -161,7 +159,7 @@ mod tests {
         let all = Contacts::of(&mut system, Rattlers::default()).unwrap();
         assert_eq!((all.n_particles, all.n_rattlers, all.n_contacts), (6, 6, 0));
         assert_eq!(all.contact_number(), 0.0);
-        assert_eq!(all.all_pairs(&system), [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3], [3, 4], [4, 5]]);
+        assert_eq!(all_pairs(&mut system).unwrap(), [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3], [3, 4], [4, 5]]);
     }
 
     #[test]

@@ -16,7 +16,7 @@ mod spectrum;
 mod voids;
 
 pub use approximations::Approximations;
-pub use contacts::{Contacts, Rattlers, touching};
+pub use contacts::{Contacts, Rattlers, all_pairs, touching};
 pub use crossings::{check_no_crossing, refuse_coincident, refuse_crossings};
 pub use invariants::{Invariant, invariants};
 pub use moduli::{Moduli, Modulus, Stability};

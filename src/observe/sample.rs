@@ -89,14 +89,13 @@ impl Sample {
         // one after the other, and of each only what is kept: of a million particles memory holds little at once
         let voids = Voids::of(system, &[], None)?.statistics;
         let mut contacts = Contacts::of(system, rattlers)?;
-        let touched = std::mem::take(&mut contacts.touching).iter().map(|row| row.len() as u32).collect();
         let shapes: Vec<Shape> = system.outlines(Shape::of)?;
         let density = PackingFraction::of(system, &shapes)?;
         voids.fill(system.pbox(), density.packing_fraction)?;
         let [mean_area, area_deviation] = areas(system, &shapes, contacts.n_particles);
         let shape_parameter = mean_shape_parameter(system, &shapes);
         let mut columns = PerParticle {
-            contacts: touched,
+            contacts: std::mem::take(&mut contacts.n_touching),
             is_rattler: std::mem::take(&mut contacts.is_rattler),
             area: shapes.iter().map(|s| s.area).collect(),
             perimeter: shapes.iter().map(|s| s.perimeter).collect(),

@@ -111,12 +111,15 @@ pub fn spread_disks(
     }
     let wider = widening(&pbox, species, &diameter, spread);
     let disks = random_disks(&comm, species, seed, |s| wider * diameter(s));
-    let smallest = species.iter().map(|s| wider * diameter(s)).fold(f64::INFINITY, f64::min);
-    let (comm, mut disks) = relaxed(comm, pbox, disks, smallest, SPREAD)?;
+    let (comm, mut disks) = relaxed(comm, pbox, disks, wider * smallest(species, &diameter), SPREAD)?;
     for (size, &id) in disks.size.iter_mut().zip(&disks.id) {
         *size = diameter(species_of(species, id));
     }
     Ok((comm, disks))
+}
+
+fn smallest(species: &[Species], diameter: impl Fn(&Species) -> f64) -> f64 {
+    species.iter().map(diameter).fold(f64::INFINITY, f64::min)
 }
 
 /// Soft disks relaxed to max|F| of `tolerance` times ε over the smallest of their diameters.
@@ -151,10 +154,9 @@ pub fn deformable_particles(
     spread: f64,
 ) -> Result<(Comm, Particles), ProtocolError> {
     let outer = |s: &Species| s.outer_diameter(delta);
-    let smallest = species.iter().map(outer).fold(f64::INFINITY, f64::min);
     let (comm, disks) = spread_disks(comm, pbox, species, seed, outer, spread)?;
     // forces of 1e-6 ε/σ are overlaps of 1e-6 σ, far within the shells
-    let (comm, centers) = relaxed(comm, pbox, disks, smallest, 1e-6)?;
+    let (comm, centers) = relaxed(comm, pbox, disks, smallest(species, outer), 1e-6)?;
     let mut polygons = Particles::empty(&Bodies::Polygons { first: vec![0] });
     for (&id, &center) in centers.id.iter().zip(&centers.position) {
         let kind = species_of(species, id);

@@ -179,6 +179,7 @@ const DP_UNITS: &str = "length: l, the mean of sqrt(a0) over the smallest and th
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::VertexEdge;
 
     #[test]
     fn no_density_of_a_run_is_above_the_largest() {
@@ -192,5 +193,31 @@ mod tests {
             let scene = Scene::parse("model = 'dp'", "test", &[form.to_string()]).unwrap();
             assert!((largest_density(&scene) - largest).abs() < 1e-12, "{form}");
         }
+    }
+
+    fn from_start(model: &str, spread: f64) -> Scene {
+        let text = format!("model = '{model}'\ninitial.packing_fraction = 0.7\ninitial.spread = {spread}");
+        Scene::parse(&text, "test", &[]).unwrap()
+    }
+
+    #[test]
+    fn disks_that_were_spread_do_not_overlap() {
+        let energy = |spread| {
+            let scene = from_start("sp", spread);
+            let Physics::Sp(sp) = &scene.physics else { panic!("disks") };
+            soft_disks(Comm::alone(), &scene, sp).unwrap().energies().unwrap().total
+        };
+        let [random, spread] = [0.0, 0.9].map(energy);
+        assert!(random > 1.0 && spread < 1e-3, "{random} {spread}");
+    }
+
+    #[test]
+    fn polygons_stand_where_disks_were_spread() {
+        let start = |spread| {
+            let scene = from_start("dp", spread);
+            let Physics::Dp(dp) = &scene.physics else { panic!("polygons") };
+            deformable::<VertexEdge>(Comm::alone(), &scene, dp).unwrap().own_particles()
+        };
+        assert_ne!(start(0.9).position, start(0.0).position);
     }
 }

@@ -6,11 +6,11 @@
 use super::packings::{random_polygons, random_soft_disks};
 use super::{Check, Effort};
 use crate::comm::Comm;
-use crate::engine::System;
+use crate::engine::{EngineError, System};
 use crate::minimize::{ConjugateGradient, Goal, Newton};
 use crate::model::SoftDisks;
 use crate::observe::{
-    Approximations, Contacts, Moduli, PackingFraction, Rattlers, Shape, Stability, Voids, rattler_ids,
+    Approximations, Contacts, Moduli, PackingFraction, Rattlers, Shape, Stability, Voids, rattler_ids, touching,
 };
 use crate::protocol::{Onset, OnsetSearch, ProtocolError, compress_to, find_onset};
 use std::collections::BTreeMap;
@@ -121,7 +121,7 @@ impl AtOnset {
             let contacts = Contacts::of(&mut system, Rattlers::default())?;
             let backbone = contacts.n_backbone() as f64;
             // before particles may be stored in another order
-            let hexagons = hexagons(&system, &contacts) as f64;
+            let hexagons = hexagons(&mut system)? as f64;
             let removed = rattler_ids(&system, &contacts);
             let voids = Voids::of(&mut system, &removed, None)?.statistics;
             let [three, four, five, six, _] = voids.fractions();
@@ -144,16 +144,17 @@ impl AtOnset {
 
 /// Disks in the middle of six of their own size that touch it and each other in a ring. Of these 12 contacts the last
 /// closes by itself, because equal disks fit: one more than 2 N′ − 1 at any pressure, however close to the onset.
-fn hexagons(system: &System<SoftDisks>, contacts: &Contacts) -> usize {
+fn hexagons(system: &mut System<SoftDisks>) -> Result<usize, EngineError> {
+    let touching = touching(system)?;
     let particles = system.particles();
     let place: BTreeMap<u32, usize> = particles.id.iter().enumerate().map(|(p, &id)| (id, p)).collect();
     let is_middle = |p: &usize| {
-        let ring: Vec<usize> = contacts.touching.row(*p).iter().map(|id| place[id]).collect();
+        let ring: Vec<usize> = touching.row(*p).iter().map(|id| place[id]).collect();
         let same_size = |&q: &usize| particles.size[q] == particles.size[*p];
-        let in_ring = |&q: &usize| contacts.touching.row(q).iter().filter(|id| ring.contains(&place[id])).count() == 2;
+        let in_ring = |&q: &usize| touching.row(q).iter().filter(|id| ring.contains(&place[id])).count() == 2;
         ring.len() == 6 && ring.iter().all(same_size) && ring.iter().all(in_ring)
     };
-    (0..particles.len()).filter(is_middle).count()
+    Ok((0..particles.len()).filter(is_middle).count())
 }
 
 /// Packings of an independent implementation at their onset, N = 128, in steps of 10⁻⁴: mean φ_J, its standard error
