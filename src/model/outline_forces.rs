@@ -15,6 +15,7 @@ use super::{Harmonic, Model, View};
 use crate::geometry::{Vec2, cross, dot, scale};
 use crate::lanes::{Kernel, LANES, Lanes};
 use crate::neighbor::{OutlineFrame, Touching, VertexEdgeList};
+use std::cell::RefCell;
 use std::ops::Range;
 
 /// All forces on a chunk of own particles, written to `forces`, and what they accelerate, to `accelerations`.
@@ -35,7 +36,8 @@ impl Kernel for OutlineForces<'_> {
         let bodies = &view.particles.bodies;
         let origin = bodies.points(particles.start).start;
         let narrowed = view.lists.narrowed(particles.start);
-        let mut scratch = Scratch { held: model.parameters.held_growth(), ..Scratch::default() };
+        let mut scratch = SCRATCH.take();
+        scratch.held = model.parameters.held_growth();
         for p in particles {
             let points = bodies.points(p);
             let (mine, n) = (points.start - origin..points.end - origin, points.len());
@@ -51,7 +53,13 @@ impl Kernel for OutlineForces<'_> {
             let (forces, accelerations) = (&mut forces[mine.start..], &mut accelerations[mine.start..]);
             scratch.all_forces(l, &model.parameters, view.particles.size[p], n, forces, accelerations);
         }
+        SCRATCH.set(scratch);
     }
+}
+
+thread_local! {
+    /// Kept from chunk to chunk: threads that all grow theirs anew wait for each other in the allocator.
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
 #[inline(always)]
