@@ -110,12 +110,14 @@ pub fn choose(n: usize, is_wanted: impl Fn(usize) -> bool + Sync + Send) -> Vec<
     (0..n).into_par_iter().with_min_len(BLOCK).filter_map(wanted).collect()
 }
 
-/// Calls `visit` on every item, each of which is much work.
-pub fn for_each<T: Send>(items: &mut [T], visit: impl Fn(&mut T) + Sync + Send) {
+/// Calls `visit` on every item and its index, each of which is much work, with arrays that it may use again from item
+/// to item.
+pub fn for_each<S: Default, T: Send>(items: &mut [T], visit: impl Fn(&mut S, usize, &mut T) + Sync + Send) {
     if rayon::current_num_threads() == 1 {
-        return items.iter_mut().for_each(visit);
+        let scratch = &mut S::default();
+        return items.iter_mut().enumerate().for_each(|(k, item)| visit(scratch, k, item));
     }
-    items.par_iter_mut().for_each(visit)
+    items.par_iter_mut().enumerate().for_each_init(S::default, |scratch, (k, item)| visit(scratch, k, item));
 }
 
 /// Merges what `part` gives for runs that tile `range`. `merge` must not care about the order or about where the runs
@@ -264,8 +266,8 @@ mod tests {
                 assert_eq!(choose(N, |i| i % 3 == 1), (0..N as u32).filter(|i| i % 3 == 1).collect::<Vec<_>>());
                 assert_eq!(largest(N, |i| (i % 1000) as f64), 999.0);
                 let mut squares = collect(N, |i| i * i);
-                for_each(&mut squares, |x| *x += 1);
-                assert!(squares.iter().enumerate().all(|(i, &x)| x == i * i + 1));
+                for_each(&mut squares, |_: &mut (), i, x| *x += i);
+                assert!(squares.iter().enumerate().all(|(i, &x)| x == i * i + i));
             });
         }
         let empty = sort_by_bin(0, [2, 2], |_| [0, 0]);

@@ -201,7 +201,7 @@ impl PointList for DiskList {
             visit(&mut point);
             *entry = tagged(point, tag_of(*entry));
         };
-        let of_part = |part: &mut Part| part.rows.iter_mut().flatten().for_each(of_entry);
+        let of_part = |_: &mut (), _: usize, part: &mut Part| part.rows.iter_mut().flatten().for_each(of_entry);
         threads::for_each(&mut self.parts, of_part);
     }
 }

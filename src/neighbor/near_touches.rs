@@ -73,20 +73,31 @@ pub(super) struct Picking<'a, F> {
     /// Pairs closer than this touch.
     pub reach: f64,
     pub travel: f64,
+    /// What is picked takes the place of what was there.
+    pub made: &'a mut NearTouches,
+    pub scratch: &'a mut Scratch,
+}
+
+/// One particle at work.
+#[derive(Default)]
+pub(super) struct Scratch {
+    frame: OutlineFrame,
+    /// For each slot of the frame whether it is used, then the slot that it becomes.
+    place: Vec<u16>,
 }
 
 impl<'a, F: Fn(usize) -> Near<'a>> Kernel for Picking<'_, F> {
-    type Output = NearTouches;
+    type Output = ();
 
     #[inline(always)]
-    fn run(self, l: impl Lanes) -> NearTouches {
-        let Picking { pbox, particles, chunk, near, reach, travel } = self;
-        let mut made = NearTouches { first_particle: chunk.particles.start, ..NearTouches::default() };
+    fn run(self, l: impl Lanes) {
+        let Picking { pbox, particles, chunk, near, reach, travel, made, scratch } = self;
+        let Scratch { frame, place } = scratch;
+        made.clear(chunk.particles.start);
         let widths = pbox.widths();
         // what lies in one image stays there: the margin of the test is a twentieth of the box
         let far = travel > 0.02 * widths[0].min(widths[1]);
         let range = Range { reach: reach + 2.0 * travel, approach: 2.0 * travel };
-        let (mut frame, mut place) = (OutlineFrame::default(), Vec::new());
         for p in chunk.particles.clone() {
             let k = p - chunk.particles.start;
             let near = near(k);
@@ -99,15 +110,25 @@ impl<'a, F: Fn(usize) -> Near<'a>> Kernel for Picking<'_, F> {
             if far || !fits || !is_in_one_image(particles, p, &near) {
                 made.wide.push(k as u32);
             } else {
-                made.add(l, &frame, vertices, &near, range, &mut place);
+                made.add(l, frame, vertices, &near, range, place);
             }
         }
         made.begin_particle();
-        made
     }
 }
 
 impl NearTouches {
+    /// Nothing, for the chunk that begins with own particle `first`; arrays stay where they are.
+    fn clear(&mut self, first: usize) {
+        let NearTouches { first_particle, start, points, faces, corners, wide } = self;
+        *first_particle = first;
+        start.clear();
+        points.clear();
+        faces.clear();
+        corners.clear();
+        wide.clear();
+    }
+
     #[inline(always)]
     fn add(
         &mut self,

@@ -70,10 +70,11 @@ impl VertexEdgeList {
 
     /// Picks the pairs that can touch (distance below `reach`) before any point has moved farther than `travel`.
     pub fn narrow(&mut self, pbox: &PeriodicBox, particles: &Particles, reach: f64, travel: f64) {
-        self.narrow.clear();
-        self.narrow = threads::map(&self.chunks, |chunk| {
-            let row = &self.rows[self.place(chunk.particles.start).0];
-            lanes::run(Picking { pbox, particles, chunk, near: |k| row.near(k), reach, travel })
+        self.narrow.resize_with(self.chunks.len(), NearTouches::default);
+        let (chunks, rows) = (&self.chunks, &self.rows);
+        threads::for_each(&mut self.narrow, |scratch, k, made| {
+            let near = |p: usize| rows[k].near(p);
+            lanes::run(Picking { pbox, particles, chunk: &chunks[k], near, reach, travel, made, scratch })
         });
     }
 
