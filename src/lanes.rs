@@ -404,6 +404,13 @@ mod avx512 {
         }
     }
 
+    /// A number that addresses are made from: the compiler would load eight of them together and take them apart again
+    /// in the registers and units that the arithmetic waits for.
+    #[inline(always)]
+    unsafe fn one_by_one(x: &u32) -> u32 {
+        unsafe { std::ptr::read_volatile(x) }
+    }
+
     // where the eight numbers of a result lie among the sixteen of two registers
     const EVEN: [i64; LANES] = [0, 2, 4, 6, 8, 10, 12, 14];
     const ODD: [i64; LANES] = [1, 3, 5, 7, 9, 11, 13, 15];
@@ -577,7 +584,7 @@ mod avx512 {
         #[inline(always)]
         fn points(self, points: &[Frac], at: &[u32; LANES]) -> [__m512i; 2] {
             self.check(at, points.len());
-            unsafe { self.transposed(|k| points.as_ptr().add(at[k] as usize)) }
+            unsafe { self.transposed(|k| points.as_ptr().add(one_by_one(&at[k]) as usize)) }
         }
 
         #[inline(always)]
@@ -585,7 +592,7 @@ mod avx512 {
             // a point is below the number of points when it is with any tag
             self.check(at, points.len().saturating_mul(TAGS));
             // cleared of its tag, a number is the place of its point in units of a quarter point
-            let quarters = |k: usize| (at[k] >> TAG_BITS << TAG_BITS) as usize;
+            let quarters = |k: usize| (unsafe { one_by_one(&at[k]) } >> TAG_BITS << TAG_BITS) as usize;
             unsafe { self.transposed(|k| points.as_ptr().byte_add(size_of::<Frac>() / TAGS * quarters(k))) }
         }
 
