@@ -131,12 +131,10 @@ pub trait Lanes: Copy {
     fn by_tags(self, table: &[f64; TAGS * TAGS], row: &[Tagged; LANES], column: &[Tagged; LANES]) -> Self::Real;
     /// The numbers with these numbers.
     fn numbers(self, numbers: &[f64], at: &[u32; LANES]) -> Self::Real;
-    /// From each table the numbers in the places that the first (or second) numbers of eight pairs name.
-    fn rows<const N: usize, const SECOND: bool>(
-        self,
-        tables: [&[f64]; N],
-        pairs: &[[u16; 2]; LANES],
-    ) -> [Self::Real; N];
+    /// The numbers in the places that the first (or second) numbers of eight pairs name.
+    fn named<const SECOND: bool>(self, numbers: &[f64], pairs: &[[u16; 2]; LANES]) -> Self::Real;
+    /// The two components of the vectors there.
+    fn named_vectors<const SECOND: bool>(self, vectors: &[Vec2], pairs: &[[u16; 2]; LANES]) -> [Self::Real; 2];
     /// Eight vectors.
     fn vectors(self, x: Self::Real, y: Self::Real) -> [Vec2; LANES];
     /// The two components of the first eight.
@@ -329,12 +327,14 @@ impl Lanes for Arrays {
     }
 
     #[inline(always)]
-    fn rows<const N: usize, const SECOND: bool>(
-        self,
-        tables: [&[f64]; N],
-        pairs: &[[u16; 2]; LANES],
-    ) -> [Self::Real; N] {
-        tables.map(|table| pairs.map(|pair| table[pair[SECOND as usize] as usize]))
+    fn named<const SECOND: bool>(self, numbers: &[f64], pairs: &[[u16; 2]; LANES]) -> Self::Real {
+        pairs.map(|pair| numbers[pair[SECOND as usize] as usize])
+    }
+
+    #[inline(always)]
+    fn named_vectors<const SECOND: bool>(self, vectors: &[Vec2], pairs: &[[u16; 2]; LANES]) -> [Self::Real; 2] {
+        let named = pairs.map(|pair| vectors[pair[SECOND as usize] as usize]);
+        [0, 1].map(|axis| named.map(|vector| vector[axis]))
     }
 
     #[inline(always)]
@@ -383,15 +383,28 @@ mod avx512 {
             assert!(inside == 0xff, "a point that is not there");
         }
 
-        /// Eight loads of whole points and two shuffles: quicker than two gathers.
+        /// Panics unless the first (or second) numbers of all pairs are below `n`.
+        #[inline(always)]
+        fn check_names<const SECOND: bool>(self, pairs: &[[u16; 2]; LANES], n: usize) {
+            // SAFETY: see Avx512; the load is of eight pairs.
+            let inside = unsafe {
+                let both = _mm256_loadu_si256(pairs.as_ptr().cast());
+                let first = _mm256_and_si256(both, _mm256_set1_epi32(0xffff));
+                let at = if SECOND { _mm256_srli_epi32::<16>(both) } else { first };
+                _mm256_cmplt_epu32_mask(at, _mm256_set1_epi32(n.min(u16::MAX as usize + 1) as i32))
+            };
+            assert!(inside == 0xff, "a number that is not there");
+        }
+
+        /// Eight loads of whole points or vectors and two shuffles: quicker than two gathers.
         ///
         /// # Safety
-        /// `of(k)` must point to a point for each k below 8.
+        /// `of(k)` must point to 16 bytes for each k below 8.
         #[inline(always)]
-        unsafe fn transposed(self, of: impl Fn(usize) -> *const Frac) -> [__m512i; 2] {
+        unsafe fn transposed(self, of: impl Fn(usize) -> *const __m128i) -> [__m512i; 2] {
             // SAFETY: by the contract above.
             unsafe {
-                let one = |k: usize| _mm_loadu_si128(of(k).cast());
+                let one = |k: usize| _mm_loadu_si128(of(k));
                 let four = |k: usize| {
                     let a = _mm512_castsi128_si512(one(k));
                     let b = _mm512_inserti64x2::<1>(a, one(k + 2));
@@ -407,7 +420,7 @@ mod avx512 {
     /// A number that addresses are made from: the compiler would load eight of them together and take them apart again
     /// in the registers and units that the arithmetic waits for.
     #[inline(always)]
-    unsafe fn one_by_one(x: &u32) -> u32 {
+    unsafe fn one_by_one<T: Copy>(x: &T) -> T {
         unsafe { std::ptr::read_volatile(x) }
     }
 
@@ -584,7 +597,7 @@ mod avx512 {
         #[inline(always)]
         fn points(self, points: &[Frac], at: &[u32; LANES]) -> [__m512i; 2] {
             self.check(at, points.len());
-            unsafe { self.transposed(|k| points.as_ptr().add(one_by_one(&at[k]) as usize)) }
+            unsafe { self.transposed(|k| points.as_ptr().add(one_by_one(&at[k]) as usize).cast()) }
         }
 
         #[inline(always)]
@@ -593,7 +606,7 @@ mod avx512 {
             self.check(at, points.len().saturating_mul(TAGS));
             // cleared of its tag, a number is the place of its point in units of a quarter point
             let quarters = |k: usize| (unsafe { one_by_one(&at[k]) } >> TAG_BITS << TAG_BITS) as usize;
-            unsafe { self.transposed(|k| points.as_ptr().byte_add(size_of::<Frac>() / TAGS * quarters(k))) }
+            unsafe { self.transposed(|k| points.as_ptr().byte_add(size_of::<Frac>() / TAGS * quarters(k)).cast()) }
         }
 
         #[inline(always)]
@@ -625,41 +638,29 @@ mod avx512 {
         }
 
         #[inline(always)]
-        fn rows<const N: usize, const SECOND: bool>(
-            self,
-            tables: [&[f64]; N],
-            pairs: &[[u16; 2]; LANES],
-        ) -> [__m512d; N] {
-            let mut shortest = u16::MAX as usize + 1;
-            let mut k = 0;
-            while k < N {
-                shortest = shortest.min(tables[k].len());
-                k += 1;
-            }
-            // SAFETY: the load is of eight pairs; what they name lies within the shortest table.
+        fn named<const SECOND: bool>(self, numbers: &[f64], pairs: &[[u16; 2]; LANES]) -> __m512d {
+            self.check_names::<SECOND>(pairs, numbers.len());
             unsafe {
-                let both = _mm256_loadu_si256(pairs.as_ptr().cast());
-                let low = _mm256_and_si256(both, _mm256_set1_epi32(0xffff));
-                let at = if SECOND { _mm256_srli_epi32::<16>(both) } else { low };
-                let inside = _mm256_cmplt_epu32_mask(at, _mm256_set1_epi32(shortest as i32));
-                assert!(inside == 0xff, "a number that is not there");
-                let mut rows = [_mm512_setzero_pd(); N];
-                let mut k = 0;
-                while k < N {
-                    let from = tables[k].as_ptr();
-                    macro_rules! two {
-                        ($lane:literal) => {{
-                            let low = _mm_load_sd(from.add(pairs[$lane][SECOND as usize] as usize));
-                            _mm_loadh_pd(low, from.add(pairs[$lane + 1][SECOND as usize] as usize))
-                        }};
-                    }
-                    let a = _mm512_castpd128_pd512(two!(0));
-                    let b = _mm512_insertf64x2::<1>(a, two!(2));
-                    let c = _mm512_insertf64x2::<2>(b, two!(4));
-                    rows[k] = _mm512_insertf64x2::<3>(c, two!(6));
-                    k += 1;
+                let from = numbers.as_ptr();
+                macro_rules! two {
+                    ($lane:literal) => {{
+                        let low = _mm_load_sd(from.add(one_by_one(&pairs[$lane][SECOND as usize]) as usize));
+                        _mm_loadh_pd(low, from.add(one_by_one(&pairs[$lane + 1][SECOND as usize]) as usize))
+                    }};
                 }
-                rows
+                let a = _mm512_castpd128_pd512(two!(0));
+                let b = _mm512_insertf64x2::<1>(a, two!(2));
+                let c = _mm512_insertf64x2::<2>(b, two!(4));
+                _mm512_insertf64x2::<3>(c, two!(6))
+            }
+        }
+
+        #[inline(always)]
+        fn named_vectors<const SECOND: bool>(self, vectors: &[Vec2], pairs: &[[u16; 2]; LANES]) -> [__m512d; 2] {
+            self.check_names::<SECOND>(pairs, vectors.len());
+            unsafe {
+                let place = |k: usize| one_by_one(&pairs[k][SECOND as usize]) as usize;
+                self.transposed(|k| vectors.as_ptr().add(place(k)).cast()).map(|row| _mm512_castsi512_pd(row))
             }
         }
 
@@ -737,10 +738,14 @@ mod tests {
             let [taken_a, taken_b] = l.components(&interleaved[1..]);
             let bits = [l.bits(less), l.bits(up_to), l.bits(l.both(less, l.first(5)))].map(f64::from);
             let named: [[u16; 2]; LANES] = std::array::from_fn(|k| self.at.map(|at| at[k] as u16));
-            let [first, shifted_first] = l.rows::<2, false>([self.numbers; 2], &named);
-            let [second] = l.rows::<1, true>([self.numbers], &named);
+            let (first, second) = (l.named::<false>(self.numbers, &named), l.named::<true>(self.numbers, &named));
+            let vectors: Vec<Vec2> = self.numbers.iter().map(|&x| [x, -1.5 * x]).collect();
+            let (first_pair, second_pair) =
+                (l.named_vectors::<false>(&vectors, &named), l.named_vectors::<true>(&vectors, &named));
             let pairs = [
-                (l.add(first, shifted_first), second),
+                (first, second),
+                first_pair.into(),
+                second_pair.into(),
                 (l.load(&stored[1..]), l.splat(l.sum(a))),
                 (l.abs(a), l.with_sign(a, b)),
                 (l.clamp_to_unit(a), l.clamp_to_unit(b)),
@@ -792,7 +797,7 @@ mod tests {
 
         #[inline(always)]
         fn run(self, l: impl Lanes) {
-            l.rows::<2, true>([&[0.0; 9], self.0], &self.1);
+            l.named::<true>(self.0, &self.1);
         }
     }
 

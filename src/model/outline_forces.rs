@@ -12,7 +12,7 @@ use super::deformable::{Deformable, DeformableParameters};
 use super::masses::Added;
 use super::vertex_edge::VertexEdge;
 use super::{Harmonic, Model, View};
-use crate::geometry::{Vec2, cross, dot, scale};
+use crate::geometry::{Vec2, cross, dot, norm, scale, sub};
 use crate::lanes::{Kernel, LANES, Lanes};
 use crate::neighbor::{OutlineFrame, Touching, VertexEdgeList};
 use std::cell::RefCell;
@@ -191,7 +191,7 @@ impl Scratch {
             l.store(fx, &mut force_x[k - 1..]);
             l.store(fy, &mut force_y[k - 1..]);
             put(l, fx, fy, &mut forces[k - 1..]);
-            let (at_x, at_y) = (l.load(&frame.x[k..]), l.load(&frame.y[k..]));
+            let [at_x, at_y] = l.components(&frame.at[k..]);
             (sum_x, sum_y) = (l.add(sum_x, contact_x), l.add(sum_y, contact_y));
             torque = l.add(torque, l.sub(l.mul(at_x, contact_y), l.mul(at_y, contact_x)));
             growth = l.add(growth, l.sub(l.mul(chord_y, fx), l.mul(chord_x, fy)));
@@ -210,7 +210,7 @@ impl Scratch {
         for k in (1..=n).step_by(LANES) {
             let ([x, y], [before_x, before_y]) = frame.edges(l, k);
             let (chord_x, chord_y) = (l.add(x, before_x), l.add(y, before_y));
-            let (at_x, at_y) = (l.load(&frame.x[k..]), l.load(&frame.y[k..]));
+            let [at_x, at_y] = l.components(&frame.at[k..]);
             let (fx, fy) = (l.load(&force_x[k - 1..]), l.load(&force_y[k - 1..]));
             let (more_x, more_y) = (l.sub(push_x, l.mul(turn, at_y)), l.add(push_y, l.mul(turn, at_x)));
             let (more_x, more_y) = (l.add(more_x, l.mul(growth, chord_y)), l.sub(more_y, l.mul(growth, chord_x)));
@@ -253,9 +253,9 @@ impl Local<'_> {
     fn faces<L: Lanes>(&self, l: L, pairs: &[[u16; 2]]) -> Facing<L> {
         let f = self.frame;
         let pairs = eight(pairs);
-        let [at_x, at_y] = l.rows::<2, false>([&f.x, &f.y], pairs);
-        let [start_x, start_y, x, y, per_length] =
-            l.rows::<5, true>([&f.x, &f.y, &f.along_x, &f.along_y, &f.per_length], pairs);
+        let [at_x, at_y] = l.named_vectors::<false>(&f.at, pairs);
+        let [start_x, start_y] = l.named_vectors::<true>(&f.at, pairs);
+        let ([x, y], per_length) = (l.named_vectors::<true>(&f.along, pairs), l.named::<true>(&f.per_length, pairs));
         let (from_x, from_y) = (l.sub(at_x, start_x), l.sub(at_y, start_y));
         let forward = l.add(l.mul(from_x, x), l.mul(from_y, y));
         let foot = l.mul(forward, l.mul(per_length, per_length));
@@ -276,8 +276,7 @@ impl Local<'_> {
     fn near(&self, l: impl Lanes, pairs: &[[u16; 2]]) -> u8 {
         let f = self.frame;
         let pairs = eight(pairs);
-        let [v_x, v_y] = l.rows::<2, false>([&f.x, &f.y], pairs);
-        let [w_x, w_y] = l.rows::<2, true>([&f.x, &f.y], pairs);
+        let ([v_x, v_y], [w_x, w_y]) = (l.named_vectors::<false>(&f.at, pairs), l.named_vectors::<true>(&f.at, pairs));
         let (x, y) = (l.sub(v_x, w_x), l.sub(v_y, w_y));
         let distance2 = l.add(l.mul(x, x), l.mul(y, y));
         l.bits(l.both(l.less(l.splat(0.0), distance2), l.less(distance2, l.splat(self.delta * self.delta))))
@@ -288,18 +287,13 @@ impl Local<'_> {
     fn corner(&self, v: usize, w: usize) -> Option<Vec2> {
         let f = self.frame;
         // the foot on an edge, to the same bits as in `faces`
-        let foot = |e: usize| {
-            let from = [f.x[v] - f.x[e], f.y[v] - f.y[e]];
-            (from[0] * f.along_x[e] + from[1] * f.along_y[e]) * (f.per_length[e] * f.per_length[e])
-        };
+        let foot = |e: usize| dot(sub(f.at[v], f.at[e]), f.along[e]) * (f.per_length[e] * f.per_length[e]);
         let is_before = foot(w) <= 0.0;
         if is_before != (foot(w - 1) > 1.0) {
             return None;
         }
-        let from = [f.x[v] - f.x[w], f.y[v] - f.y[w]];
-        let distance2 = from[0] * from[0] + from[1] * from[1];
-        let strength = self.push / distance2.sqrt() - self.stiffness;
-        let strength = if is_before { strength } else { -strength };
-        Some([strength * from[0], strength * from[1]])
+        let from = sub(f.at[v], f.at[w]);
+        let strength = self.push / norm(from) - self.stiffness;
+        Some(scale(if is_before { strength } else { -strength }, from))
     }
 }

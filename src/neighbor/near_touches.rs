@@ -284,9 +284,9 @@ impl Range {
     #[inline(always)]
     fn may<L: Lanes>(self, l: L, frame: &OutlineFrame, slots: &[[u16; 2]; LANES], count: usize) -> [u8; 2] {
         let f = frame;
-        let [at_x, at_y] = l.rows::<2, false>([&f.x, &f.y], slots);
-        let [start_x, start_y, x, y, per_length] =
-            l.rows::<5, true>([&f.x, &f.y, &f.along_x, &f.along_y, &f.per_length], slots);
+        let [at_x, at_y] = l.named_vectors::<false>(&f.at, slots);
+        let [start_x, start_y] = l.named_vectors::<true>(&f.at, slots);
+        let ([x, y], per_length) = (l.named_vectors::<true>(&f.along, slots), l.named::<true>(&f.per_length, slots));
         let (from_x, from_y) = (l.sub(at_x, start_x), l.sub(at_y, start_y));
         let zero = l.splat(0.0);
         let approach = l.splat((1.0 + 1e-12) * self.approach);
@@ -311,7 +311,8 @@ impl Range {
             return [faces, 0];
         }
         let before = slots.map(|[vertex, edge]| [vertex, edge - 1]);
-        let [x, y, per_length] = l.rows::<3, true>([&f.along_x, &f.along_y, &f.per_length], &before);
+        let [x, y] = l.named_vectors::<true>(&f.along, &before);
+        let per_length = l.named::<true>(&f.per_length, &before);
         let length = l.mul(l.add(l.mul(x, x), l.mul(y, y)), per_length);
         let change_before = l.mul(approach, l.add(near, length));
         let beyond = l.add(l.mul(from_x, x), l.mul(from_y, y));

@@ -1,4 +1,4 @@
-use crate::geometry::PeriodicBox;
+use crate::geometry::{PeriodicBox, Vec2};
 use crate::lanes::{LANES, Lanes};
 use crate::particles::Particles;
 
@@ -12,11 +12,9 @@ use crate::particles::Particles;
 #[derive(Default)]
 pub struct OutlineFrame {
     /// Positions.
-    pub x: Vec<f64>,
-    pub y: Vec<f64>,
+    pub at: Vec<Vec2>,
     /// Edges from each slot to the next; between slots that are no neighbours on an outline they mean nothing.
-    pub along_x: Vec<f64>,
-    pub along_y: Vec<f64>,
+    pub along: Vec<Vec2>,
     /// 1 / length of each edge, 0 for an edge of length zero.
     pub per_length: Vec<f64>,
     /// Of the polygon: twice its area, the sum of its vertices, and that of their squared distances from the origin.
@@ -38,10 +36,10 @@ impl OutlineFrame {
         let n = own.len();
         let first_other = Self::first_other(n);
         let length = first_other + others.len() + 2 * LANES;
-        if self.x.len() < length {
-            for array in [&mut self.x, &mut self.y, &mut self.along_x, &mut self.along_y, &mut self.per_length] {
-                array.resize(length, 0.0);
-            }
+        if self.at.len() < length {
+            self.at.resize(length, [0.0; 2]);
+            self.along.resize(length, [0.0; 2]);
+            self.per_length.resize(length, 0.0);
         }
         let [origin_x, origin_y] = own[0].to_bits();
         let (origin_x, origin_y) = (l.splat_raw(origin_x), l.splat_raw(origin_y));
@@ -62,9 +60,8 @@ impl OutlineFrame {
             squares = l.add(squares, l.add(l.mul(x, x), l.mul(y, y)));
         }
         (self.area2, self.sum, self.squares) = (l.sum(area2), [l.sum(sum_x), l.sum(sum_y)], l.sum(squares));
-        for array in [&mut self.x, &mut self.y, &mut self.along_x, &mut self.along_y, &mut self.per_length] {
-            (array[0], array[n + 1]) = (array[n], 0.0);
-        }
+        (self.at[0], self.along[0], self.per_length[0]) = (self.at[n], self.along[n], self.per_length[n]);
+        (self.at[n + 1], self.along[n + 1], self.per_length[n + 1]) = ([0.0; 2], [0.0; 2], 0.0);
         let mut blocks = others.chunks_exact(LANES);
         let (origin, mut slot) = ([origin_x, origin_y], first_other);
         let mut last = None;
@@ -92,9 +89,10 @@ impl OutlineFrame {
     /// The edges from eight slots on, and those before them.
     #[inline(always)]
     pub fn edges<L: Lanes>(&self, l: L, k: usize) -> ([L::Real; 2], [L::Real; 2]) {
-        let (x, y) = (l.load(&self.along_x[k..]), l.load(&self.along_y[k..]));
+        let [x, y] = l.components(&self.along[k..]);
         // not loaded: the processor would wait for two stores to end
-        ([x, y], [l.shifted(self.along_x[k - 1], x), l.shifted(self.along_y[k - 1], y)])
+        let [before_x, before_y] = self.along[k - 1];
+        ([x, y], [l.shifted(before_x, x), l.shifted(before_y, y)])
     }
 
     #[inline(always)]
@@ -131,10 +129,8 @@ impl OutlineFrame {
         let (along_x, along_y) = (l.add(l.mul(dx, xx), l.mul(dy, xy)), l.mul(dy, yy));
         let length2 = l.add(l.mul(along_x, along_x), l.mul(along_y, along_y));
         let per_length = l.keep(l.less(l.splat(0.0), length2), l.div(l.splat(1.0), l.sqrt(length2)));
-        l.store(x, &mut self.x[slot..]);
-        l.store(y, &mut self.y[slot..]);
-        l.store(along_x, &mut self.along_x[slot..]);
-        l.store(along_y, &mut self.along_y[slot..]);
+        l.store_vectors(x, y, &mut self.at[slot..]);
+        l.store_vectors(along_x, along_y, &mut self.along[slot..]);
         l.store(per_length, &mut self.per_length[slot..]);
         [x, y, along_x, along_y]
     }
