@@ -35,8 +35,10 @@ impl DiskList {
         let cells = &CellList::new(pbox, region, &particles.position, largest + skin);
         assert!(particles.len() < (u32::MAX as usize) / TAGS, "fewer than 2^30 disks on a rank");
         let sizes = &few_sizes(&particles.size);
+        let tag = |p: usize| sizes.iter().position(|&size| size == particles.size[p]).unwrap_or(0) as u8;
+        let tags = &threads::collect(particles.len(), tag)[..];
         let part = |scratch: &mut Scratch, chunk: &Chunk| {
-            lanes::run(Search { candidates, cells, sizes, skin, disks: chunk.particles.clone(), scratch })
+            lanes::run(Search { candidates, cells, tags, skin, disks: chunk.particles.clone(), scratch })
         };
         let contact = |a: usize, b: usize| match (sizes.get(a), sizes.get(b)) {
             (Some(a), Some(b)) => 0.5 * (a + b),
@@ -75,14 +77,14 @@ impl DiskList {
 struct Search<'a> {
     candidates: &'a Candidates<'a>,
     cells: &'a CellList,
-    /// Their places are the tags; empty when there are none.
-    sizes: &'a [f64],
+    /// Of all disks.
+    tags: &'a [u8],
     skin: f64,
     disks: Range<usize>,
     scratch: &'a mut Scratch,
 }
 
-/// Neighbours of one disk with their global ids; those of all disks of a chunk, one after another, and where each ends.
+/// Neighbours of one disk, each below its global id; those of all disks of a chunk, one after another, and where each ends.
 #[derive(Default)]
 struct Scratch {
     found: Vec<u64>,
@@ -95,7 +97,7 @@ impl Kernel for Search<'_> {
 
     #[inline(always)]
     fn run(self, l: impl Lanes) -> Part {
-        let Search { candidates: Candidates { pbox, particles, .. }, cells, sizes, skin, disks, scratch } = self;
+        let Search { candidates: Candidates { pbox, particles, .. }, cells, tags, skin, disks, scratch } = self;
         let Scratch { found, neighbors, ends } = scratch;
         let (position, size) = (&particles.position[..], &particles.size[..]);
         let [unit_x, tilt, unit_y, half, skin] =
@@ -124,13 +126,38 @@ impl Kernel for Search<'_> {
                     }
                 }
             }
-            found.sort_unstable();
-            neighbors.extend(found.iter().map(|&key| key as u32));
+            append_sorted(found, neighbors);
             ends.push(neighbors.len());
         }
-        let tag = |point: u32| sizes.iter().position(|&s| s == size[point as usize]).unwrap_or(0) as u32;
-        Part::new(disks.start as u32, neighbors, ends, |point| tagged(point, tag(point)))
+        Part::new(disks.start as u32, neighbors, ends, |point| tagged(point, tags[point as usize].into()))
     }
+}
+
+/// Appends the lower halves of different numbers in ascending order. The place of each is how many are less: of few
+/// numbers that is counted sooner, eight at a time, than they are sorted by comparisons that nobody can foresee.
+#[inline(always)]
+fn append_sorted(numbers: &mut Vec<u64>, sorted: &mut Vec<u32>) {
+    let (n, begin) = (numbers.len(), sorted.len());
+    if n > 64 {
+        numbers.sort_unstable();
+        sorted.extend(numbers.iter().map(|&number| number as u32));
+        return;
+    }
+    numbers.resize(n.next_multiple_of(LANES), u64::MAX);
+    // what fills up the last eight goes to the place behind all others
+    sorted.resize(begin + n + 1, 0);
+    for eight in numbers.chunks_exact(LANES) {
+        let mut less = [0u64; LANES];
+        for &other in &numbers[..n] {
+            for k in 0..LANES {
+                less[k] += u64::from(other < eight[k]);
+            }
+        }
+        for k in 0..LANES {
+            sorted[begin + less[k] as usize] = eight[k] as u32;
+        }
+    }
+    sorted.truncate(begin + n);
 }
 
 /// The different sizes among these, if there are no more than tags; else none.
@@ -203,5 +230,23 @@ impl PointList for DiskList {
         };
         let of_part = |_: &mut (), _: usize, part: &mut Part| part.rows.iter_mut().flatten().for_each(of_entry);
         threads::for_each(&mut self.parts, of_part);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_count_of_numbers_is_sorted() {
+        for n in 0..100u64 {
+            let mut numbers: Vec<u64> = (0..n).map(|k| (k * 37 % 101) << 32 | k).collect();
+            let mut right = numbers.clone();
+            right.sort_unstable();
+            let mut sorted = vec![7, 7];
+            append_sorted(&mut numbers, &mut sorted);
+            assert_eq!(sorted[..2], [7, 7]);
+            assert!(sorted[2..].iter().copied().eq(right.iter().map(|&number| number as u32)), "{n} numbers");
+        }
     }
 }
