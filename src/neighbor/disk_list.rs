@@ -84,7 +84,7 @@ struct Search<'a> {
     scratch: &'a mut Scratch,
 }
 
-/// Neighbours of one disk, each below its global id; those of all disks of a chunk, one after another, and where each ends.
+/// Neighbours of one disk, each below its global id; those of all disks of a chunk, and where those of each end.
 #[derive(Default)]
 struct Scratch {
     found: Vec<u64>,
