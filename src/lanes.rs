@@ -420,7 +420,8 @@ mod avx512 {
     /// A number that addresses are made from: the compiler would load eight of them together and take them apart again
     /// in the registers and units that the arithmetic waits for.
     #[inline(always)]
-    unsafe fn one_by_one<T: Copy>(x: &T) -> T {
+    fn one_by_one<T: Copy>(x: &T) -> T {
+        // SAFETY: a reference can be read.
         unsafe { std::ptr::read_volatile(x) }
     }
 
@@ -605,7 +606,7 @@ mod avx512 {
             // a point is below the number of points when it is with any tag
             self.check(at, points.len().saturating_mul(TAGS));
             // cleared of its tag, a number is the place of its point in units of a quarter point
-            let quarters = |k: usize| (unsafe { one_by_one(&at[k]) } >> TAG_BITS << TAG_BITS) as usize;
+            let quarters = |k: usize| (one_by_one(&at[k]) >> TAG_BITS << TAG_BITS) as usize;
             unsafe { self.transposed(|k| points.as_ptr().byte_add(size_of::<Frac>() / TAGS * quarters(k)).cast()) }
         }
 
