@@ -1,6 +1,7 @@
 //! One system of particles over a group of ranks: migrate → cell lists → halo → neighbour lists when needed,
 //! else a halo update, then forces. The only place where models meet communication.
 
+use crate::allocator;
 use crate::comm::{Comm, Halo};
 use crate::decomposition::{ProcessGrid, TooManyRanks};
 use crate::geometry::{Frac, PeriodicBox, Vec2, norm};
@@ -180,6 +181,7 @@ impl<M: Model> System<M> {
         let range = model.range(largest_size);
         let is_disks = matches!(particles.bodies, Bodies::Disks);
         let grid = fits(comm.size(), smallest_box, is_disks, [largest_radius, range, skin])?;
+        allocator::suit(particles.owned_points());
         Ok(System {
             list: M::List::default(),
             comm,

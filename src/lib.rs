@@ -1,5 +1,6 @@
 //! Jammed packings of soft and deformable particles in two dimensions.
 
+pub mod allocator;
 pub mod analysis;
 pub mod cli;
 pub mod comm;

@@ -10,6 +10,7 @@ pub use exact_sum::{ExactSum, Grid};
 pub use halo::Halo;
 pub use reduction::{EXTREMES, FusedSums, Sums, Totals};
 
+use crate::allocator;
 use crate::profile::{self, Count, Phase};
 use crate::threads;
 use mpi::collective::{SystemOperation, UnsafeUserOperation};
@@ -27,7 +28,7 @@ pub struct Session {
 impl Session {
     /// Initialises MPI (calls from the main thread only) and makes a panic on any rank end all of them.
     pub fn start() -> Self {
-        keep_large_arrays_apart();
+        allocator::keep_large_arrays_apart();
         let universe = mpi::initialize_with_threading(mpi::Threading::Funneled).map(|(universe, _)| universe);
         if let Some(universe) = &universe {
             let rank = universe.world().rank();
@@ -49,17 +50,6 @@ impl Session {
             Some(universe) => Comm::over(universe.world().duplicate()),
             None => Comm::alone(),
         }
-    }
-}
-
-/// Makes the allocator give every array of a quarter of a megabyte or more pages of its own, which go back to the system
-/// with it: those of points, and of the sorts that lists begin with. Left to itself glibc soon puts arrays of up to 32 MB
-/// between those of neighbour lists, and a third of the memory of a large system is holes.
-fn keep_large_arrays_apart() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: sets a number of the allocator; no other thread runs yet
-    unsafe {
-        libc::mallopt(libc::M_MMAP_THRESHOLD, 1 << 18);
     }
 }
 
