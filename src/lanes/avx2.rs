@@ -20,13 +20,13 @@ impl Avx2 {
         // SAFETY: see Avx2.
         let outside = unsafe {
             let n = _mm256_set1_epi32(n.min(u32::MAX as usize) as i32);
-            // numbers without sign are compared for equality only
+            // there is no comparison of numbers without sign but that the larger one is `at`
             _mm256_movemask_epi8(_mm256_cmpeq_epi32(_mm256_max_epu32(at, n), at))
         };
         assert!(outside == 0, "a number that is not there");
     }
 
-    /// The first (or second) numbers of all pairs, once it is sure that they are below `n`.
+    /// Panics unless the first (or second) numbers of all pairs are below `n`.
     #[inline(always)]
     fn check_names<const SECOND: bool>(self, pairs: &[[u16; 2]; LANES], n: usize) {
         // SAFETY: see Avx2; the load is of eight pairs.
@@ -107,8 +107,8 @@ macro_rules! halves {
 }
 
 // for the first n lanes, eight numbers from place 8 - n on; for the first n of 16 numbers, 16 from place 16 - n on
-const FIRST: [i64; 2 * LANES] = first();
-const FIRST_OF_TWO: [i64; 4 * LANES] = first();
+static FIRST: [i64; 2 * LANES] = first();
+static FIRST_OF_TWO: [i64; 4 * LANES] = first();
 
 const fn first<const N: usize>() -> [i64; N] {
     let mut first = [0; N];
