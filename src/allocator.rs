@@ -16,33 +16,52 @@ pub fn suit(points: usize) {
 /// Makes the allocator keep freed memory for the next arrays. Each step of Newton's method needs the same ones anew: a sixth
 /// of the time went to pages that had just been given back.
 fn keep_what_is_freed() {
-    set([(Setting::OfTheirOwn, 32 << 20), (Setting::Kept, 64 << 20)]);
+    set(32 << 20, 64 << 20);
 }
 
 /// Makes the allocator give every array of a quarter of a megabyte or more pages of its own, which go back to the system
 /// with it: those of points, and of the sorts that lists begin with. Left to itself glibc soon puts arrays of up to 32 MB
 /// between those of neighbour lists, and a third of the memory of a large system is holes.
 pub fn keep_large_arrays_apart() {
-    set([(Setting::OfTheirOwn, 1 << 18), (Setting::Kept, 1 << 17)]);
+    set(1 << 18, 1 << 17);
 }
 
-enum Setting {
-    /// Arrays of so many bytes have pages of their own.
-    OfTheirOwn,
-    /// So many free bytes at the end are not given back.
-    Kept,
-}
-
-fn set(settings: [(Setting, i32); 2]) {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    for (setting, bytes) in settings {
-        let setting = match setting {
-            Setting::OfTheirOwn => libc::M_MMAP_THRESHOLD,
-            Setting::Kept => libc::M_TRIM_THRESHOLD,
-        };
-        // SAFETY: sets a number that allocations under way read once
-        unsafe { libc::mallopt(setting, bytes) };
+/// Arrays of so many bytes have pages of their own; of the others so many free bytes at the end are not given back.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn set(apart: i32, kept: i32) {
+    // SAFETY: sets two numbers, which decide nothing but where memory comes from
+    unsafe {
+        libc::mallopt(libc::M_MMAP_THRESHOLD, apart);
+        libc::mallopt(libc::M_TRIM_THRESHOLD, kept);
     }
-    #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-    let _ = settings;
+}
+
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+fn set(_apart: i32, _kept: i32) {}
+
+#[cfg(all(test, target_os = "linux", target_env = "gnu"))]
+mod tests {
+    use super::*;
+    use std::hint::black_box;
+
+    /// Pages that this thread has asked for.
+    fn faults() -> i64 {
+        // SAFETY: the structure is of numbers, and written to only
+        unsafe {
+            let mut usage = std::mem::zeroed::<libc::rusage>();
+            assert_eq!(libc::getrusage(libc::RUSAGE_THREAD, &mut usage), 0);
+            usage.ru_minflt
+        }
+    }
+
+    #[test]
+    fn small_systems_keep_what_they_free() {
+        const BYTES: usize = 8 << 20;
+        keep_large_arrays_apart();
+        suit(SMALL - 1);
+        let before = faults();
+        (0..20).for_each(|_| drop(black_box(vec![1u8; BYTES])));
+        let pages = (BYTES / 4096) as i64;
+        assert!(faults() - before < 2 * pages, "{} pages for arrays of {pages}", faults() - before);
+    }
 }

@@ -8,6 +8,18 @@ use std::arch::x86_64::*;
 #[derive(Clone, Copy)]
 pub struct Avx2(());
 
+/// What is done in both registers alike: `$x` are those of one, then those of the other. (A `map` of arrays need not be
+/// inlined.)
+macro_rules! halves {
+    (|$($x:ident),*| $f:expr) => {{
+        let half = |k: usize| {
+            $(let $x = $x[k];)*
+            unsafe { $f }
+        };
+        [half(0), half(1)]
+    }};
+}
+
 impl Avx2 {
     #[inline(always)]
     pub fn detected() -> Option<Self> {
@@ -63,6 +75,12 @@ impl Avx2 {
         [[x, more_x], [y, more_y]]
     }
 
+    /// The same bits as f64.
+    #[inline(always)]
+    fn as_reals(self, [x, y]: [[__m256i; 2]; 2]) -> [[__m256d; 2]; 2] {
+        [halves!(|x| _mm256_castsi256_pd(x)), halves!(|y| _mm256_castsi256_pd(y))]
+    }
+
     /// Eight numbers, each from a place of its own.
     ///
     /// # Safety
@@ -94,31 +112,16 @@ impl Avx2 {
     }
 }
 
-/// What is done in both registers alike: `$x` are those of one, then those of the other. (A `map` of arrays need not be
-/// inlined.)
-macro_rules! halves {
-    (|$($x:ident),*| $f:expr) => {{
-        let half = |k: usize| {
-            $(let $x = $x[k];)*
-            unsafe { $f }
-        };
-        [half(0), half(1)]
-    }};
-}
-
-// for the first n lanes, eight numbers from place 8 - n on; for the first n of 16 numbers, 16 from place 16 - n on
-static FIRST: [i64; 2 * LANES] = first();
-static FIRST_OF_TWO: [i64; 4 * LANES] = first();
-
-const fn first<const N: usize>() -> [i64; N] {
-    let mut first = [0; N];
+/// Masks of the first n numbers of 16 and less, from place 16 − n on.
+static FIRST: [i64; 4 * LANES] = {
+    let mut first = [0; 4 * LANES];
     let mut k = 0;
-    while k < N / 2 {
+    while k < 2 * LANES {
         first[k] = -1;
         k += 1;
     }
     first
-}
+};
 
 // SAFETY of all methods: the instructions are there, see Avx2; loads are within slices, see `check`.
 impl Lanes for Avx2 {
@@ -217,7 +220,7 @@ impl Lanes for Avx2 {
 
     #[inline(always)]
     fn first(self, n: usize) -> Self::Mask {
-        let from = FIRST[LANES - n.min(LANES)..].as_ptr().cast();
+        let from = FIRST[2 * LANES - n.min(LANES)..].as_ptr().cast();
         unsafe { [_mm256_loadu_pd(from), _mm256_loadu_pd(from.add(4))] }
     }
 
@@ -286,7 +289,7 @@ impl Lanes for Avx2 {
 
     #[inline(always)]
     fn few_points(self, points: &[Frac]) -> [Self::Raw; 2] {
-        let masks = FIRST_OF_TWO[2 * (LANES - points.len().min(LANES))..].as_ptr();
+        let masks = FIRST[2 * (LANES - points.len().min(LANES))..].as_ptr();
         let from = points.as_ptr().cast::<i64>();
         // SAFETY: numbers that the masks leave out are not read; there are 2 LANES masks.
         let four = |k: usize| unsafe {
@@ -344,8 +347,7 @@ impl Lanes for Avx2 {
     fn named_vectors<const SECOND: bool>(self, vectors: &[Vec2], pairs: &[[u16; 2]; LANES]) -> [Self::Real; 2] {
         self.check_names::<SECOND>(pairs, vectors.len());
         let place = |k: usize| one_by_one(&pairs[k][SECOND as usize]) as usize;
-        let [x, y] = unsafe { self.transposed(|k| vectors.as_ptr().add(place(k)).cast()) };
-        [halves!(|x| _mm256_castsi256_pd(x)), halves!(|y| _mm256_castsi256_pd(y))]
+        self.as_reals(unsafe { self.transposed(|k| vectors.as_ptr().add(place(k)).cast()) })
     }
 
     #[inline(always)]
@@ -358,8 +360,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn components(self, from: &[Vec2]) -> [Self::Real; 2] {
         let from = eight(from);
-        let [x, y] = unsafe { self.transposed(|k| from[k].as_ptr().cast()) };
-        [halves!(|x| _mm256_castsi256_pd(x)), halves!(|y| _mm256_castsi256_pd(y))]
+        self.as_reals(unsafe { self.transposed(|k| from[k].as_ptr().cast()) })
     }
 
     #[inline(always)]

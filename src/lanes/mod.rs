@@ -267,10 +267,10 @@ mod tests {
             let at = [0, 13].map(|more| std::array::from_fn(|k| (shift + more * k as u32 + more) % 100));
             // which NaN it is says nothing
             let canonical = |bits: u64| if f64::from_bits(bits).is_nan() { u64::MAX } else { bits };
-            let all = of_all_kinds(|| All { points: &points, numbers: &numbers, at })
+            let all: Vec<Vec<u64>> = of_all_kinds(|| All { points: &points, numbers: &numbers, at })
                 .into_iter()
-                .map(|bits| bits.into_iter().map(canonical).collect::<Vec<_>>());
-            let all: Vec<_> = all.collect();
+                .map(|bits| bits.into_iter().map(canonical).collect())
+                .collect();
             assert!(all.iter().all(|bits| *bits == all[0]));
         }
     }
