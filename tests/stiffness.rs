@@ -8,7 +8,7 @@ use jamhpc::model::{Deformable, EdgeEdge, Model, SoftDisks, VertexEdge};
 use jamhpc::observe::{Moduli, Spectrum, Stability};
 use jamhpc::particles::Particles;
 use jamhpc::protocol::quasi_static_shear_modulus;
-use jamhpc::stiffness::{Stiffness, elastic};
+use jamhpc::stiffness::{Cholesky, Stiffness, elastic};
 use perturbed::*;
 
 fn forces<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles) -> Vec<Vec2> {
@@ -243,4 +243,39 @@ fn spectra() {
     let polygons = Spectrum::of(&mut system(model, pbox, &particles)).unwrap().unwrap();
     assert_eq!(polygons.eigenvalues.len(), 2 * particles.owned_points());
     assert!(polygons.eigenvalues.windows(2).all(|pair| pair[0] <= pair[1]));
+}
+
+/// A factor of H + s exists from the lowest eigenvalue of −H on, and solves (H + s) u = b.
+fn check_factor<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles) {
+    let mut system = system(model, pbox, particles);
+    let eigenvalues = Spectrum::of(&mut system).unwrap().unwrap().eigenvalues;
+    let (lowest, highest) = (eigenvalues[0], eigenvalues[eigenvalues.len() - 1]);
+    assert!(lowest < -1e-6 * highest, "{lowest} {highest}");
+    let stiffness = Stiffness::of(&mut system, 1.0).unwrap();
+    let mut cholesky = Cholesky::default();
+    cholesky.load(&system, &stiffness);
+    let margin = 1e-9 * highest;
+    assert!(!cholesky.factorize(&system.comm, -lowest - margin));
+    for shift in [0.01 * highest - lowest, -lowest + margin] {
+        assert!(cholesky.factorize(&system.comm, shift));
+        let u: Vec<Vec2> = (0..particles.owned_points()).map(|k| [noise(3 * k), noise(3 * k + 1)]).collect();
+        let mut product = vec![[[0.0; 2]]; u.len()];
+        stiffness.product(&mut system, &mut u.iter().map(|&u| [u]).collect(), &mut product);
+        let b: Vec<Vec2> = product.iter().zip(&u).map(|(p, u)| [0, 1].map(|k| p[0][k] + shift * u[k])).collect();
+        let rounding = 1e-14 * highest / (shift + lowest);
+        close("solution", cholesky.solve(&system, &b).as_flattened(), u.as_flattened(), 100.0 * rounding);
+    }
+}
+
+#[test]
+fn factors() {
+    for tilt in [0.0, 2.3] {
+        let (pbox, pushed) = shaken(DISKS, 0.3, tilt);
+        check_factor(SoftDisks { epsilon: 1.0, smallest: 1.0 }, pbox, &pushed);
+    }
+    for (pbox, particles, delta) in deformable(0.3) {
+        check_factor(Deformable::<VertexEdge>::new(parameters(1.7, 300.0, 50.0, delta)), pbox, &particles);
+        // line tension and contacts alone
+        check_factor(Deformable::<VertexEdge>::new(parameters(1.7, 0.0, 50.0, delta)), pbox, &particles);
+    }
 }

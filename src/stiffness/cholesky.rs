@@ -4,16 +4,28 @@ use crate::engine::System;
 use crate::geometry::Vec2;
 use crate::model::{Block, Model};
 use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::factor::LltRegularization;
+use faer::linalg::cholesky::ldlt::factor::LdltRegularization;
 use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+    CholeskySymbolicParams, LdltRef, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
+    factorize_symbolic_cholesky,
 };
 use faer::sparse::linalg::{SupernodalThreshold, amd};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat, SymbolicSparseColMatRef};
 use faer::{Col, Conj, Par, Side, Spec};
 
-/// Direct solutions of (H + shift) u = b by a sparse Cholesky factor, which exists where that matrix is positive
-/// definite.
+/// Direct solutions of (H + shift) u = b by a sparse factor L D Lᵀ (Cholesky's without roots), for positive definite
+/// matrices.
+///
+/// The area of a polygon couples each of its points to all others. As an unknown α of its own, which stands after the
+/// points, it is coupled to each of them, and points to their neighbours only; this leaves a planar network, in
+/// whose factor there are few new entries:
+///
+/// ```text
+/// (H₀ + shift) u + √k ∇a α = b,   √k ∇aᵀ u − α = 0:   without α, (H₀ + k ∇a ∇aᵀ + shift) u = b
+/// ```
+///
+/// That matrix is positive definite if the larger one has as many negative eigenvalues as areas, and D as many negative
+/// entries (Sylvester's law of inertia).
 ///
 /// Rank 0 gathers the matrix, factors it on one thread and sends each rank its part of a solution: the same bits on any
 /// number of ranks. In two dimensions the work grows little faster than the number of points. The analysis of the layout
@@ -61,22 +73,23 @@ impl Cholesky {
     }
 
     fn factorize_here(&mut self, shift: f64) -> bool {
-        let Some(Analysis { lower, pattern, .. }) = &self.analysis else { return false };
-        for (&place, diagonal) in lower.col_ptr().iter().zip(&self.diagonal) {
-            self.values[place] = diagonal + shift;
+        let Some(Analysis { lower, pattern, is_area, .. }) = &self.analysis else { return false };
+        for ((&place, &diagonal), &is_area) in lower.col_ptr().iter().zip(&self.diagonal).zip(is_area) {
+            self.values[place] = if is_area { diagonal } else { diagonal + shift };
         }
         self.factor.resize(pattern.len_val(), 0.0);
-        let mut scratch = MemBuffer::new(pattern.factorize_numeric_llt_scratch::<f64>(Par::Seq, Spec::default()));
-        let done = pattern.factorize_numeric_llt(
+        let mut scratch = MemBuffer::new(pattern.factorize_numeric_ldlt_scratch::<f64>(Par::Seq, Spec::default()));
+        let done = pattern.factorize_numeric_ldlt(
             &mut self.factor,
             SparseColMatRef::new(lower.as_ref(), &self.values),
             Side::Lower,
-            LltRegularization::default(),
+            LdltRegularization::default(),
             Par::Seq,
             MemStack::new(&mut scratch),
             Spec::default(),
         );
-        done.is_ok()
+        let areas = is_area.iter().filter(|&&is_area| is_area).count();
+        done.is_ok() && negative_pivots(pattern, &self.factor) == areas
     }
 
     /// u for the own points, given b there. Collective; call [`Cholesky::factorize`] first.
@@ -87,8 +100,8 @@ impl Cholesky {
         let gathered = comm.gather(name.iter().zip(b).flat_map(named).collect::<Vec<u64>>());
         let mut parts = vec![Vec::new(); comm.size()];
         if let (Some(analysis), true) = (&self.analysis, self.is_factored) {
-            let factor = LltRef::new(&analysis.pattern, &self.factor);
-            let mut x = Col::<f64>::zeros(gathered.iter().map(|part| part.len() / 3 * 2).sum());
+            let factor = LdltRef::new(&analysis.pattern, &self.factor);
+            let mut x = Col::<f64>::zeros(analysis.lower.ncols());
             for named in gathered.iter().flat_map(|part| part.chunks_exact(3)) {
                 let place = analysis.place(named[0]);
                 [0, 1].into_iter().for_each(|k| x[2 * place + k] = f64::from_bits(named[1 + k]));
@@ -105,6 +118,18 @@ impl Cholesky {
     }
 }
 
+/// How many entries of D are negative. A supernode's columns are stored as a dense matrix, D on its diagonal.
+fn negative_pivots(pattern: &SymbolicCholesky<usize>, factor: &[f64]) -> usize {
+    let SymbolicCholeskyRaw::Supernodal(nodes) = pattern.raw() else { panic!("supernodes were asked for") };
+    let columns = nodes.supernode_begin().iter().zip(nodes.supernode_end()).map(|(begin, end)| end - begin);
+    let values = nodes.col_ptr_for_val().windows(2).map(|bounds| &factor[bounds[0]..bounds[1]]);
+    let negative = |(columns, values): (usize, &[f64])| {
+        let rows = values.len() / columns;
+        values.iter().step_by(rows + 1).take(columns).filter(|&&pivot| pivot < 0.0).count()
+    };
+    columns.zip(values).map(negative).sum()
+}
+
 /// Where everything stands, for one layout of the matrix.
 struct Analysis {
     /// Place of each particle's first point in the order of global ids.
@@ -117,6 +142,8 @@ struct Analysis {
     lower: SymbolicSparseColMat<usize>,
     /// Of the factor.
     pattern: SymbolicCholesky<usize>,
+    /// Whether a column is one of an area.
+    is_area: Vec<bool>,
 }
 
 impl Analysis {
@@ -179,10 +206,15 @@ impl Analysis {
             if is_turned { [left, left + 1, right, right + 1] } else { [left, right, left + 1, right + 1] }
         });
         let slots = slots.collect();
+        let mut is_area = vec![false; 2 * rows.len()];
+        for &(name, _) in &rows {
+            let place = 2 * places[by_id(name)];
+            is_area[place..place + 2].fill(name & AREA != 0);
+        }
         let size = 2 * rows.len();
         let lower = SymbolicSparseColMat::new_checked(size, size, start, None, index);
         let how = CholeskySymbolicParams {
-            // the small dense blocks of particles make supernodes
+            // column by column, large factors take several times as long
             supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
             ..Default::default()
         };
@@ -190,7 +222,7 @@ impl Analysis {
         let upper = lower.transpose().to_col_major().ok()?;
         let pattern =
             factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, SymmetricOrdering::Identity, how).ok()?;
-        Some(Analysis { first, places, slots, lower, pattern })
+        Some(Analysis { first, places, slots, lower, pattern, is_area })
     }
 
     /// Place of a point in the order of elimination.
@@ -199,9 +231,9 @@ impl Analysis {
     }
 }
 
-/// Place of a point in the order of global ids, from its name and the places of each particle's first point.
+/// Place of a point or area in the order of global ids, from its name and the places of each particle's first point.
 fn by_id(first: &[usize], name: u64) -> usize {
-    first[(name >> 32) as usize] + name as u32 as usize
+    first[(name >> 32) as usize] + (name & !AREA) as u32 as usize
 }
 
 /// Places of the points in an order of least degree, which makes few new entries, from the columns in each row of the
@@ -221,9 +253,13 @@ fn order_of_elimination(rows: &[Vec<usize>]) -> Option<Vec<usize>> {
     Some(places)
 }
 
-/// The own rows of the lower triangle of H, area term included.
+/// Part of the names of areas: (id, place after the points of the particle).
+const AREA: u64 = 1 << 31;
+
+/// The own rows of the lower triangle of H, and those of the areas, which look like points whose second component is
+/// coupled to nothing.
 struct Rows {
-    /// For each row the global name of its point, the number of its blocks and the names of their columns, ascending, the
+    /// For each row the global name of its point or area, the number of its blocks and the names of their columns, ascending, the
     /// row's own last.
     layout: Vec<u64>,
     /// The blocks, four words each.
@@ -245,21 +281,17 @@ impl Stiffness {
                 if row.last().is_none_or(|&(other, _)| other < name[i]) {
                     row.push((name[i], [0.0; 4]));
                 }
-                if M::BODIES {
-                    // the area couples all points of the particle: they stand at the end of the row
-                    let own = row.partition_point(|&(other, _)| other < name[points.start]);
-                    let mut listed = row.split_off(own).into_iter().peekable();
-                    let g = self.area_gradient[i];
-                    for (&other, &h) in name[points.start..=i].iter().zip(&self.area_gradient[points.start..=i]) {
-                        let area =
-                            [g[0] * h[0], g[0] * h[1], g[1] * h[0], g[1] * h[1]].map(|x| self.area_stiffness * x);
-                        let block = listed.next_if(|&(column, _)| column == other).map_or([0.0; 4], |(_, block)| block);
-                        row.push((other, std::array::from_fn(|k| area[k] + block[k])));
-                    }
-                }
                 rows.layout.extend([name[i], row.len() as u64]);
                 rows.layout.extend(row.iter().map(|&(other, _)| other));
                 rows.values.extend(row.iter().flat_map(|(_, block)| block.map(f64::to_bits)));
+            }
+            if M::BODIES {
+                let (root, n) = (self.area_stiffness.sqrt(), points.len() as u64);
+                let area = (name[points.start] + n) | AREA;
+                rows.layout.extend([area, n + 1]);
+                rows.layout.extend(name[points.clone()].iter().chain([&area]));
+                let blocks = self.area_gradient[points].iter().map(|g| [root * g[0], root * g[1], 0.0, 0.0]);
+                rows.values.extend(blocks.chain([[-1.0, 0.0, 0.0, -1.0]]).flatten().map(f64::to_bits));
             }
         }
         rows
