@@ -100,14 +100,17 @@ impl Cholesky {
         let gathered = comm.gather(name.iter().zip(b).flat_map(named).collect::<Vec<u64>>());
         let mut parts = vec![Vec::new(); comm.size()];
         if let (Some(analysis), true) = (&self.analysis, self.is_factored) {
-            let factor = LdltRef::new(&analysis.pattern, &self.factor);
             let mut x = Col::<f64>::zeros(analysis.lower.ncols());
             for named in gathered.iter().flat_map(|part| part.chunks_exact(3)) {
                 let place = analysis.place(named[0]);
                 [0, 1].into_iter().for_each(|k| x[2 * place + k] = f64::from_bits(named[1 + k]));
             }
-            let mut scratch = MemBuffer::new(analysis.pattern.solve_in_place_scratch::<f64>(1, Par::Seq));
-            factor.solve_in_place_with_conj(Conj::No, x.as_mat_mut(), Par::Seq, MemStack::new(&mut scratch));
+            let mut rest = x.clone();
+            analysis.solve(&self.factor, &mut x);
+            // the matrix is not definite, and rows are not exchanged: a second time for what rounding has left
+            analysis.subtract_product(&self.values, &x, &mut rest);
+            analysis.solve(&self.factor, &mut rest);
+            x += &rest;
             for (named, part) in gathered.iter().zip(&mut parts) {
                 let places = named.chunks_exact(3).map(|named| analysis.place(named[0]));
                 part.extend(places.flat_map(|place| [0, 1].map(|k| x[2 * place + k].to_bits())));
@@ -223,6 +226,26 @@ impl Analysis {
         let pattern =
             factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, SymmetricOrdering::Identity, how).ok()?;
         Some(Analysis { first, places, slots, lower, pattern, is_area })
+    }
+
+    /// Solves with a factor.
+    fn solve(&self, factor: &[f64], x: &mut Col<f64>) {
+        let mut scratch = MemBuffer::new(self.pattern.solve_in_place_scratch::<f64>(1, Par::Seq));
+        let factor = LdltRef::new(&self.pattern, factor);
+        factor.solve_in_place_with_conj(Conj::No, x.as_mat_mut(), Par::Seq, MemStack::new(&mut scratch));
+    }
+
+    /// Takes the product of the matrix with these values and x from b.
+    fn subtract_product(&self, values: &[f64], x: &Col<f64>, b: &mut Col<f64>) {
+        let (start, rows) = (self.lower.col_ptr(), self.lower.row_idx());
+        for (column, bounds) in start.windows(2).enumerate() {
+            // the diagonal comes first
+            b[column] -= values[bounds[0]] * x[column];
+            for (&row, value) in rows[bounds[0]..bounds[1]].iter().zip(&values[bounds[0]..bounds[1]]).skip(1) {
+                b[row] -= value * x[column];
+                b[column] -= value * x[row];
+            }
+        }
     }
 
     /// Place of a point in the order of elimination.
