@@ -256,6 +256,7 @@ fn check_factor<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Partic
     cholesky.load(&system, &stiffness);
     let margin = 1e-9 * highest;
     assert!(!cholesky.factorize(&system.comm, -lowest - margin));
+    assert!(!cholesky.factorize(&system.comm, f64::NAN));
     for shift in [0.01 * highest - lowest, -lowest + margin] {
         assert!(cholesky.factorize(&system.comm, shift));
         let u: Vec<Vec2> = (0..particles.owned_points()).map(|k| [noise(3 * k), noise(3 * k + 1)]).collect();

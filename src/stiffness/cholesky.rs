@@ -17,8 +17,8 @@ use faer::{Col, Conj, Par, Side, Spec};
 /// matrices.
 ///
 /// The area of a polygon couples each of its points to all others. As an unknown α of its own, which stands after the
-/// points, it is coupled to each of them, and points to their neighbours only; this leaves a planar network, in
-/// whose factor there are few new entries:
+/// points, it is coupled to each of them, and points to their neighbours only; this leaves a nearly planar network,
+/// whose factor has few new entries:
 ///
 /// ```text
 /// (H₀ + shift) u + √k ∇a α = b,   √k ∇aᵀ u − α = 0:   without α, (H₀ + k ∇a ∇aᵀ + shift) u = b
@@ -89,7 +89,7 @@ impl Cholesky {
             Spec::default(),
         );
         let areas = is_area.iter().filter(|&&is_area| is_area).count();
-        done.is_ok() && negative_pivots(pattern, &self.factor) == areas
+        done.is_ok() && not_positive(pattern, &self.factor) == areas
     }
 
     /// u for the own points, given b there. Collective; call [`Cholesky::factorize`] first.
@@ -121,16 +121,17 @@ impl Cholesky {
     }
 }
 
-/// How many entries of D are negative. A supernode's columns are stored as a dense matrix, D on its diagonal.
-fn negative_pivots(pattern: &SymbolicCholesky<usize>, factor: &[f64]) -> usize {
+/// How many entries of D are negative or no numbers. A supernode's columns are stored as a dense matrix, D on its
+/// diagonal.
+fn not_positive(pattern: &SymbolicCholesky<usize>, factor: &[f64]) -> usize {
     let SymbolicCholeskyRaw::Supernodal(nodes) = pattern.raw() else { panic!("supernodes were asked for") };
     let columns = nodes.supernode_begin().iter().zip(nodes.supernode_end()).map(|(begin, end)| end - begin);
     let values = nodes.col_ptr_for_val().windows(2).map(|bounds| &factor[bounds[0]..bounds[1]]);
-    let negative = |(columns, values): (usize, &[f64])| {
+    let of_node = |(columns, values): (usize, &[f64])| {
         let rows = values.len() / columns;
-        values.iter().step_by(rows + 1).take(columns).filter(|&&pivot| pivot < 0.0).count()
+        values.iter().step_by(rows + 1).take(columns).filter(|pivot| pivot.is_nan() || **pivot < 0.0).count()
     };
-    columns.zip(values).map(negative).sum()
+    columns.zip(values).map(of_node).sum()
 }
 
 /// Where everything stands, for one layout of the matrix.
@@ -282,8 +283,8 @@ const AREA: u64 = 1 << 31;
 /// The own rows of the lower triangle of H, and those of the areas, which look like points whose second component is
 /// coupled to nothing.
 struct Rows {
-    /// For each row the global name of its point or area, the number of its blocks and the names of their columns, ascending, the
-    /// row's own last.
+    /// For each row the global name of its point or area, the number of its blocks and the names of their columns,
+    /// ascending, the row's own last.
     layout: Vec<u64>,
     /// The blocks, four words each.
     values: Vec<u64>,
