@@ -2,7 +2,7 @@
 //!
 //! Every rank parses its own copy of the arguments; rank 0 alone speaks.
 
-use crate::comm::Comm;
+use crate::comm::{Comm, tell};
 use crate::exchange::Extra;
 use crate::failure::exit;
 use crate::scene::{ColorBy, Method};
@@ -320,7 +320,7 @@ pub fn parse(comm: &Comm) -> Result<Cli, u8> {
         Ok(cli) if wrong < 0.0 => Ok(cli),
         Ok(_) => {
             if comm.is_root() {
-                eprintln!("error: the ranks were started with different arguments, and some are not valid");
+                tell("error: the ranks were started with different arguments, and some are not valid\n");
             }
             Err(exit::BAD_INPUT)
         }

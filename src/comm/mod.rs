@@ -19,6 +19,7 @@ use mpi::topology::{Color, Communicator, SimpleCommunicator};
 use mpi::traits::{AsRaw, CommunicatorCollectives, Root};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::io::Write;
 
 /// MPI, from initialisation to finalisation. Without `mpirun` this is one rank.
 pub struct Session {
@@ -35,7 +36,7 @@ impl Session {
             let size = universe.world().size();
             let default_hook = std::panic::take_hook();
             std::panic::set_hook(Box::new(move |info| {
-                eprintln!("jamhpc: internal error on rank {rank} of {size}; all ranks end");
+                tell(&format!("jamhpc: internal error on rank {rank} of {size}; all ranks end\n"));
                 default_hook(info);
                 // SimpleCommunicator::world() needs no state, so that any thread may abort
                 SimpleCommunicator::world().abort(EXIT_PANIC);
@@ -51,6 +52,11 @@ impl Session {
             None => Comm::alone(),
         }
     }
+}
+
+/// Writes to the standard error. A terminal or a disk that is gone is no reason to end.
+pub fn tell(text: &str) {
+    let _ = std::io::stderr().write_all(text.as_bytes());
 }
 
 /// Exit status of all ranks when one has panicked.

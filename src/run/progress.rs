@@ -1,7 +1,8 @@
 //! What a run says on the standard error while it works: plain lines at intervals, one line rewritten on a terminal, and
 //! every state as a log event (`--log-format json`, or `--log-level info`).
 
-use std::io::{IsTerminal, Write};
+use crate::comm::tell;
+use std::io::IsTerminal;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -54,24 +55,23 @@ impl Progress {
         let seconds = self.started.elapsed().as_secs();
         let line = format!("[{:3}:{:02}] {}", seconds / 60, seconds % 60, text());
         if self.terminal {
-            eprint!("\r\x1b[K{line}");
-            let _ = std::io::stderr().flush();
+            tell(&format!("\r\x1b[K{line}"));
         } else {
-            eprintln!("{line}");
+            tell(&format!("{line}\n"));
         }
     }
 
     /// What the whole run took.
     pub fn end(&self, memory: Option<String>) {
         if let (true, Some(memory)) = (self.speaks, memory) {
-            eprintln!("{memory}");
+            tell(&format!("{memory}\n"));
         }
     }
 
     /// Clears the rewritten line, so that whatever comes next starts on a line of its own.
     pub fn finish(&self) {
         if self.speaks && self.terminal && self.last.lock().unwrap_or_else(PoisonError::into_inner).is_some() {
-            eprint!("\r\x1b[K");
+            tell("\r\x1b[K");
         }
     }
 }

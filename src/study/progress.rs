@@ -5,6 +5,7 @@
 use super::plan::Member;
 use super::schedule::Job;
 use super::store;
+use crate::comm::tell;
 use crate::failure::Failure;
 use crate::output::folder::explain;
 use std::collections::BTreeMap;
@@ -93,17 +94,16 @@ impl Progress {
         let rest = if made == 0 { String::new() } else { format!(", about {} left", clock(left)) };
         let line = format!("[{}] {} of {} packings{rest}", clock(elapsed), self.all - self.missing + made, self.all);
         if self.terminal {
-            eprint!("\r\x1b[K{line}");
-            let _ = std::io::stderr().flush();
+            tell(&format!("\r\x1b[K{line}"));
         } else {
-            eprintln!("{line}");
+            tell(&format!("{line}\n"));
         }
     }
 
     /// Clears the rewritten line.
     pub fn finish(&self) {
         if self.speaks && self.terminal && self.last.is_some() {
-            eprint!("\r\x1b[K");
+            tell("\r\x1b[K");
         }
     }
 }
