@@ -2,7 +2,7 @@
 
 use crate::analysis;
 use crate::cli::{Cli, Command, LogFormat, RunOptions, Settings, Starter};
-use crate::comm::{Comm, Session};
+use crate::comm::{Comm, Session, tell};
 use crate::costs;
 use crate::exchange;
 use crate::failure::{Failure, exit};
@@ -25,14 +25,14 @@ pub fn dispatch(session: &Session, cli: Cli) -> u8 {
     if cli.settings.profile && !matches!(outcome, Err(Failure::Input(_))) {
         let table = costs::table(&session.world());
         if is_root {
-            eprint!("{table}");
+            tell(&table);
         }
     }
     match outcome {
         Ok(()) => exit::SUCCESS,
         Err(failure) => {
             if is_root {
-                eprintln!("error: {failure}");
+                tell(&format!("error: {failure}\n"));
             }
             failure.exit_code()
         }
@@ -59,11 +59,11 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
         Some(Command::Study { study, output, check, retry }) => {
             let plan = Plan::parse(&read_text(&comm, study)?, &study.display().to_string())
                 .map_err(|e| Failure::Input(e.to_string()))?;
+            for group in &plan.groups {
+                run::setup::check(group.ranks, &group.scene)
+                    .map_err(|e| Failure::Input(format!("{}: {}: {e}", study.display(), group.id())))?;
+            }
             if *check {
-                for group in &plan.groups {
-                    run::setup::check(group.ranks, &group.scene)
-                        .map_err(|e| Failure::Input(format!("{}: {}: {e}", study.display(), group.id())))?;
-                }
                 return print(&comm, &plan.summary());
             }
             let folder = output.clone().unwrap_or_else(|| study.file_stem().map_or_else(Default::default, Into::into));
@@ -80,13 +80,13 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             print(&comm, &String::from_utf8_lossy(&list))
         }
         Some(Command::Evaluate { file, frame, with, output }) => {
-            expect_to_write(&comm, output.as_deref())?;
+            expect_to_write(&comm, output.as_deref(), file)?;
             let text = read_configuration(&comm, file, *frame)?;
             let evaluation = exchange::evaluate(comm, &text, &file.display().to_string(), with)?;
             give(&session.world(), output.as_deref(), &evaluation)
         }
         Some(Command::Minimize { file, frame, output, method, force_tolerance, max_iterations }) => {
-            expect_to_write(&comm, Some(output))?;
+            expect_to_write(&comm, Some(output), file)?;
             let text = read_configuration(&comm, file, *frame)?;
             let goal = Goal { force_tolerance: *force_tolerance, max_iterations: *max_iterations };
             let origin = file.display().to_string();
@@ -99,7 +99,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             report(outcome, &goal, output)
         }
         Some(Command::Analyze { file, frame, all, output }) => {
-            expect_to_write(&comm, output.as_deref())?;
+            expect_to_write(&comm, output.as_deref(), file)?;
             let text = text_of_configuration(&comm, file)?;
             if text.is_some() && (*all || frame.is_some()) {
                 let file = file.display();
@@ -122,7 +122,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             if let Some(part) = part.filter(|part| !(*part > 0.0 && *part <= 1.0)) {
                 return Err(Failure::Input(format!("--part {part}: it must be above 0 and not above 1, such as 0.2")));
             }
-            expect_to_write(&comm, Some(output))?;
+            expect_to_write(&comm, Some(output), file)?;
             frames::render(comm, file, *frame, *color_by, *part, output)
         }
         Some(Command::Info { file }) => {
@@ -195,7 +195,8 @@ fn start_logs(settings: &Settings) {
     let json = settings.log_format == LogFormat::Json;
     let usual = if json { "info" } else { "warn" };
     let filter = settings.log_level.clone().unwrap_or_else(|| usual.into());
-    let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let logs =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false);
     if json {
         logs.json().init();
     } else {
@@ -276,10 +277,18 @@ fn give(comm: &Comm, file: Option<&Path>, text: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses a file for results that cannot be written, before they are computed.
-fn expect_to_write(comm: &Comm, file: Option<&Path>) -> Result<(), Failure> {
+/// Refuses a file for results that cannot be written, or is the one that is read, before they are computed.
+fn expect_to_write(comm: &Comm, file: Option<&Path>, input: &Path) -> Result<(), Failure> {
     let Some(file) = to_write(file) else { return Ok(()) };
-    comm.from_root(|| can_be_written(file).map(|()| Vec::new()).map_err(|e| Failure::Input(e.to_string())))?;
+    comm.from_root(|| {
+        let [to, from] = [file, input].map(std::fs::canonicalize);
+        if let (Ok(to), Ok(from)) = (to, from)
+            && to == from
+        {
+            return Err(Failure::Input(format!("{} is what is read: give -o another name", file.display())));
+        }
+        can_be_written(file).map(|()| Vec::new()).map_err(|e| Failure::Input(e.to_string()))
+    })?;
     Ok(())
 }
 

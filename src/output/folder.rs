@@ -89,12 +89,18 @@ pub(super) fn make_way(path: &Path) -> std::io::Result<Option<PathBuf>> {
     Ok(None)
 }
 
-/// Writes a small file at once: nobody ever sees it half-written, and an older one stays until the new one is whole.
+/// Writes a small file at once: nobody ever sees it half-written, and an older one stays until the new one is whole. A link
+/// stays one, and what is no file, as a pipe or a terminal, is written to as it is.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
-    let part = part_of(path);
+    if is_stream(path) {
+        let written = File::options().write(true).open(path).and_then(|mut stream| stream.write_all(bytes));
+        return written.map_err(|e| OutputError::write(path, explain(&e)));
+    }
+    let place = followed(path);
+    let part = part_of(&place);
     let written = File::create(&part)
         .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
-        .and_then(|()| fs::rename(&part, path));
+        .and_then(|()| fs::rename(&part, &place));
     written.map_err(|e| {
         let _ = fs::remove_file(&part); // it may never have come to be
         OutputError::write(path, explain(&e))
@@ -103,12 +109,31 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), OutputError> {
 
 /// Whether [`write_whole`] can begin to write a file: asked before what is to be in it is computed.
 pub fn can_be_written(path: &Path) -> Result<(), OutputError> {
-    let part = part_of(path);
+    if is_stream(path) {
+        return Ok(());
+    }
+    let part = part_of(&followed(path));
     let tried = match path.is_dir() {
         true => Err(ErrorKind::IsADirectory.into()),
         false => File::create(&part).and_then(|_| fs::remove_file(&part)),
     };
     tried.map_err(|e| OutputError::write(path, explain(&e)))
+}
+
+/// Whether a path is there, but neither a file nor a folder.
+fn is_stream(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|about| !about.is_file() && !about.is_dir())
+}
+
+/// Where a link leads to, also to a file that is not there yet; the path itself if it is none.
+fn followed(path: &Path) -> PathBuf {
+    let mut place = path.to_owned();
+    // as many links in a row as file systems follow
+    for _ in 0..40 {
+        let Ok(next) = fs::read_link(&place) else { break };
+        place = place.parent().unwrap_or(Path::new("")).join(next);
+    }
+    place
 }
 
 /// Removes the files in a folder whose names are this program's own, and what a killed one was writing; and the folder, if
@@ -224,6 +249,27 @@ mod tests {
         assert_eq!(fs::read_dir(home.path()).unwrap().count(), 1);
         let nowhere = write_whole(&home.path().join("none/p.svg"), b"x").unwrap_err().to_string();
         assert!(nowhere.contains("none/p.svg") && nowhere.contains("check the path"), "{nowhere}");
+    }
+
+    #[test]
+    fn links_and_streams_stay() {
+        let home = tempfile::tempdir().unwrap();
+        let [link, second, target] = ["link", "second", "there/picture.svg"].map(|name| home.path().join(name));
+        fs::create_dir(target.parent().unwrap()).unwrap();
+        std::os::unix::fs::symlink("second", &link).unwrap();
+        std::os::unix::fs::symlink("there/picture.svg", &second).unwrap();
+        for text in ["one", "two"] {
+            can_be_written(&link).unwrap();
+            write_whole(&link, text.as_bytes()).unwrap();
+            assert!(link.is_symlink() && second.is_symlink());
+            assert_eq!(fs::read_to_string(&target).unwrap(), text);
+        }
+        let full = home.path().join("full");
+        std::os::unix::fs::symlink("/dev/full", &full).unwrap();
+        can_be_written(&full).unwrap();
+        let error = write_whole(&full, b"x").unwrap_err().to_string();
+        assert!(error.contains("free some space"), "{error}");
+        assert!(full.is_symlink() && is_stream(Path::new("/dev/full")));
     }
 
     #[test]
