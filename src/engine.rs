@@ -4,7 +4,7 @@
 use crate::allocator;
 use crate::comm::{Comm, Halo};
 use crate::decomposition::{ProcessGrid, TooManyRanks};
-use crate::geometry::{Frac, PeriodicBox, Vec2, norm};
+use crate::geometry::{Frac, PeriodicBox, Polygon, Vec2, norm};
 use crate::model::{Model, Outline, Terms, View};
 use crate::neighbor::{Candidates, PointList};
 use crate::particles::{Bodies, ForeignPoint, Particles};
@@ -24,6 +24,11 @@ pub enum EngineError {
          box {width:.4} wide; take more particles or a larger box"
     )]
     BoxTooSmall { extent: f64, width: f64 },
+    #[error(
+        "the box is too small: with edges as long as {edge:.4}, which act up to {range:.4} away, it must be wider than \
+         {least:.4}, but is {width:.4} wide; take more particles, more vertices or a larger box"
+    )]
+    LongEdges { edge: f64, range: f64, least: f64, width: f64 },
     #[error(
         "forces on particle {particle} are not finite or run away; the state before this minimisation was the last good one"
     )]
@@ -557,6 +562,7 @@ impl<M: Model> System<M> {
                 self.skin = self.skin.min(0.5 * width - range);
             }
         }
+        self.check_edges(widths)?;
         let halo = range + self.skin;
         self.grid.check(&self.pbox, halo)?;
         let margin = widths.map(|w| halo / w);
@@ -590,6 +596,21 @@ impl<M: Model> System<M> {
     fn largest_circumradius(&self) -> f64 {
         let (particles, pbox) = (&self.particles, &self.pbox);
         threads::largest(particles.len(), |p| particles.circumradius(pbox, p))
+    }
+
+    /// Between a point and the edge on which it acts the vector is taken to an end of that edge, in the nearest image, which
+    /// is that of the edge only where the box is wide enough.
+    fn check_edges(&self, widths: [f64; 2]) -> Result<(), EngineError> {
+        if !M::BODIES {
+            return Ok(());
+        }
+        let (particles, pbox) = (&self.particles, &self.pbox);
+        let longest = |p| Polygon::from_vertices(pbox, particles.points_of(p)).longest_edge();
+        let edge = self.comm.max(threads::largest(particles.len(), longest));
+        let range = self.model.range(self.largest_size);
+        let [edges, skins] = M::EDGES_AND_SKINS_BETWEEN;
+        let (least, width) = (2.0 * (edges * edge + range + skins * self.skin), widths[0].min(widths[1]));
+        if least >= width { Err(EngineError::LongEdges { edge, range, least, width }) } else { Ok(()) }
     }
 
     /// Every particle to the rank that owns its centre. Particles travel one subdomain at a time, so that only

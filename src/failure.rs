@@ -70,9 +70,10 @@ impl From<SceneError> for Failure {
 impl From<EngineError> for Failure {
     fn from(error: EngineError) -> Self {
         match error {
-            EngineError::TooManyRanks(_) | EngineError::BoxTooSmall { .. } | EngineError::Coincident(..) => {
-                Failure::Input(error.to_string())
-            }
+            EngineError::TooManyRanks(_)
+            | EngineError::BoxTooSmall { .. }
+            | EngineError::LongEdges { .. }
+            | EngineError::Coincident(..) => Failure::Input(error.to_string()),
             EngineError::Interrupted => Failure::Interrupted(error.to_string()),
             EngineError::Runaway { .. }
             | EngineError::Crossing(..)

@@ -279,6 +279,26 @@ fn disks_of_a_tilted_box_touch_through_their_nearest_images() {
 }
 
 #[test]
+fn edges_too_long_for_their_box_are_refused() {
+    // the middle of an edge of 1.95 is touched; in the small box the vertex is nearer to another image of its start
+    let triangles = |edge: f64| {
+        let text = json!({
+            "model": "dp", "box": {"lx": edge, "ly": edge, "xy": 0.0}, "line_tension": 1.0, "k_area": 100.0,
+            "epsilon": 10.0, "delta": 0.3, "contact": "vertex-edge", "n_vertices": [3, 3], "a0": [0.5, 0.5],
+            "vertices": [[0, 0], [1.95, 0], [1, 0.5], [2.2, 0.0], [3.2, -0.3], [3.2, 0.3]]
+        });
+        text.to_string()
+    };
+    let message = refusal(&triangles(4.0));
+    assert!(message.contains("edges as long as 1.9500") && message.contains("wider than 4.5000"), "{message}");
+    let energy = |edge| parse(&evaluate(Comm::alone(), &triangles(edge), "case", &[]).unwrap())["energy"].take();
+    let (contact, exact) = (energy(4.6)["contact"].as_f64().unwrap(), 10.0 * (1.0f64 - 0.25 / 0.3).powi(2));
+    assert!((contact - exact).abs() < 1e-12 * exact, "{contact}");
+    let flat = triangles(8.0).replace("[1,0.5]", "[1,0]");
+    assert!(refusal(&flat).contains("particle 0 has no area"), "{}", refusal(&flat));
+}
+
+#[test]
 fn a_relaxation_that_runs_out_of_steps_says_so() {
     let goal = Goal { force_tolerance: 1e-11, max_iterations: 3 };
     let start = two_squares().to_string();

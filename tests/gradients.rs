@@ -85,7 +85,7 @@ fn vertex_edge_contacts() {
 
 #[test]
 fn edge_edge_contacts() {
-    for (pbox, particles, delta) in deformable(0.0) {
+    for (pbox, particles, delta) in deformable_in_wide_boxes(0.7) {
         check(Deformable::<EdgeEdge>::new(parameters(0.0, 0.0, 50.0, delta)), pbox, &particles, 2e-6);
     }
 }
@@ -106,7 +106,7 @@ fn distance(p: Vec2, u: Vec2) -> f64 {
 /// Both contact sums written out as they are defined, over all vertices and edges of all pairs.
 #[test]
 fn contact_energies_are_the_sums_that_define_them() {
-    for (pbox, particles, delta) in deformable(0.0) {
+    for (pbox, particles, delta) in deformable_in_wide_boxes(0.7) {
         let law = Harmonic { epsilon: 50.0, delta };
         let energy = |d: f64| if d < delta { law.energy(d) } else { 0.0 };
         // (start, vector) of every edge, by particle

@@ -127,7 +127,7 @@ fn vertex_edge_contacts() {
 
 #[test]
 fn edge_edge_contacts() {
-    for (pbox, particles, delta) in deformable(0.3) {
+    for (pbox, particles, delta) in deformable_in_wide_boxes(0.3) {
         check(Deformable::<EdgeEdge>::new(parameters(0.0, 0.0, 50.0, delta)), pbox, &particles, 1e-7);
     }
 }

@@ -163,7 +163,10 @@ impl Configuration {
             if polygon.crosses_itself() {
                 return Err(Problem::CrossesItself { particle });
             }
-            if polygon.area() <= 0.0 {
+            if polygon.area() == 0.0 {
+                return Err(Problem::NoArea { particle });
+            }
+            if polygon.area() < 0.0 {
                 return Err(Problem::Clockwise { particle });
             }
         }

@@ -26,6 +26,8 @@ pub enum Problem {
     Length { key: &'static str, got: usize, expected: usize, why: &'static str },
     #[error("the vertices of particle {particle} run clockwise: list them counter-clockwise")]
     Clockwise { particle: usize },
+    #[error("the outline of particle {particle} has no area: give it three vertices or more that lie on no line")]
+    NoArea { particle: usize },
     #[error("the outline of particle {particle} crosses itself: crossed outlines never untangle, give it uncrossed")]
     CrossesItself { particle: usize },
     #[error(

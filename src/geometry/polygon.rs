@@ -29,6 +29,10 @@ impl Polygon {
         self.edges.iter().map(|&e| norm(e)).sum()
     }
 
+    pub fn longest_edge(&self) -> f64 {
+        self.edges.iter().map(|&e| norm(e)).fold(0.0, f64::max)
+    }
+
     /// Signed area, positive when counter-clockwise.
     pub fn area(&self) -> f64 {
         0.5 * self.offsets().zip(&self.edges).map(|(r, &e)| cross(r, e)).sum::<f64>()

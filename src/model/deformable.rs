@@ -45,6 +45,9 @@ const MOST_HELD: f64 = 1.0 - 1e-6;
 pub trait Contact: Copy + Send + Sync {
     type List: PointList + Default;
 
+    /// See [`Model::EDGES_AND_SKINS_BETWEEN`].
+    const EDGES_AND_SKINS_BETWEEN: [f64; 2];
+
     /// All pairs of outline parts closer than `range`.
     fn list(candidates: &Candidates, range: f64) -> Self::List;
 
@@ -188,6 +191,8 @@ impl<C: Contact> Model for Deformable<C> {
     type List = C::List;
 
     const BODIES: bool = true;
+
+    const EDGES_AND_SKINS_BETWEEN: [f64; 2] = C::EDGES_AND_SKINS_BETWEEN;
 
     fn bodies(&self) -> Bodies {
         Bodies::Polygons { first: vec![0] }

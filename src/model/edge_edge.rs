@@ -36,6 +36,9 @@ fn nearest(q_from_p: Vec2, u: Vec2, v: Vec2) -> (f64, f64, Vec2) {
 impl Contact for EdgeEdge {
     type List = EdgeEdgeList;
 
+    // lists and forces take the start of an edge to that of another
+    const EDGES_AND_SKINS_BETWEEN: [f64; 2] = [2.0, 1.0];
+
     fn list(candidates: &Candidates, range: f64) -> EdgeEdgeList {
         EdgeEdgeList::new(candidates, range)
     }

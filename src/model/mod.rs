@@ -97,6 +97,10 @@ pub trait Model: Copy + Send + Sync {
     /// The kind of particles it acts on.
     fn bodies(&self) -> Bodies;
 
+    /// How many lengths of an edge and skins lie, at most, between two points whose nearest image is taken for that of
+    /// touching outlines.
+    const EDGES_AND_SKINS_BETWEEN: [f64; 2] = [0.0; 2];
+
     /// Largest distance at which points of two particles still interact: what a neighbour list must never miss.
     /// `largest_size` is the largest particle size on any rank.
     fn range(&self, largest_size: f64) -> f64;

@@ -50,6 +50,9 @@ fn for_each_part(delta: f64, from_a: Vec2, along: Vec2, mut part: impl FnMut(f64
 impl Contact for VertexEdge {
     type List = VertexEdgeList;
 
+    // lists know all images; forces take a vertex to the start of an edge
+    const EDGES_AND_SKINS_BETWEEN: [f64; 2] = [1.0, 0.0];
+
     fn list(candidates: &Candidates, range: f64) -> VertexEdgeList {
         VertexEdgeList::new(candidates, range)
     }

@@ -37,6 +37,14 @@ pub fn deformable(tilt: f64) -> [(PeriodicBox, Particles, f64); 2] {
     [(sheared, first, 0.12), (square, second, 0.27)]
 }
 
+/// The second in a square box and in one that is tilted: both are wide enough where edges act on edges.
+pub fn deformable_in_wide_boxes(tilt: f64) -> [(PeriodicBox, Particles, f64); 2] {
+    [0.0, tilt].map(|tilt| {
+        let (pbox, particles) = shaken(SQUARE, 0.01, tilt);
+        (pbox, particles, 0.27)
+    })
+}
+
 pub fn parameters(line_tension: f64, k_area: f64, epsilon: f64, delta: f64) -> DeformableParameters {
     let contact = Harmonic { epsilon, delta };
     DeformableParameters { line_tension, k_area, contact, largest_area_per_vertex: 0.1 }
