@@ -27,17 +27,22 @@ pub fn refuse_crossings<M: Model>(system: &mut System<M>) -> Result<(), EngineEr
     }
 }
 
-/// Fails if two disks lie at one place: forces are zero there, at a maximum of the energy. Collective.
-pub fn refuse_coincident<M: Model>(system: &mut System<M>) -> Result<(), EngineError> {
+/// The lowest pair of disks at one place: forces are zero there, at a maximum of the energy. Collective.
+pub fn check_no_coincident<M: Model>(system: &mut System<M>) -> Result<Option<(u32, u32)>, EngineError> {
     if M::BODIES {
-        return Ok(());
+        return Ok(None);
     }
     let contacts = system.contacts()?;
     let ids = &system.particles().id;
     let touching =
         contacts.iter().zip(ids).flat_map(|(found, &id)| found.iter().map(move |&(other, f)| (id, other, f)));
     let here = touching.filter(|&(.., force)| force == [0.0; 2]).map(|(a, b, _)| ordered(a, b)).min();
-    match lowest(system, here) {
+    Ok(lowest(system, here))
+}
+
+/// Fails if [`check_no_coincident`] finds something. Collective.
+pub fn refuse_coincident<M: Model>(system: &mut System<M>) -> Result<(), EngineError> {
+    match check_no_coincident(system)? {
         Some((a, b)) => Err(EngineError::Coincident(a, b)),
         None => Ok(()),
     }
@@ -115,9 +120,11 @@ fn holds_an_image(pbox: &PeriodicBox, polygon: &Polygon, point: Vec2) -> bool {
 
 /// Whether a point, given relative to the first vertex, lies inside a polygon: an odd number of edges lies to its right.
 fn holds(polygon: &Polygon, point: Vec2) -> bool {
-    let to_the_right = polygon.offsets().zip(&polygon.edges).filter(|&(a, &edge)| {
-        let (below, end) = (a[1] <= point[1], add(a, edge));
-        below != (end[1] <= point[1]) && (cross(edge, sub(point, a)) > 0.0) == below
+    // each edge ends where the next begins, to the bit: the edges of an outline need not add up to zero
+    let ends = polygon.offsets().skip(1).chain([[0.0; 2]]);
+    let to_the_right = polygon.offsets().zip(ends).filter(|&(a, end)| {
+        let below = a[1] <= point[1];
+        below != (end[1] <= point[1]) && (cross(sub(end, a), sub(point, a)) > 0.0) == below
     });
     to_the_right.count() % 2 == 1
 }
@@ -177,6 +184,17 @@ mod tests {
         let polygon: Vec<Vec2> = (0..17).map(corner).collect();
         assert_eq!(check(pbox, &[polygon.clone(), polygon]), Some((0, 1)));
         assert_eq!(check(pbox, &[square(1.0, 1.0, 1.0), square(1.5, 2.0, 1.0)]), None);
+    }
+
+    #[test]
+    fn corners_at_one_height() {
+        // the edges of these squares add up to 10⁻¹⁷, not to zero
+        let (near, far) = (0.3535533905932738, 0.35355339059327373);
+        let corners = [[near, far], [-far, near], [-far, -far], [far, -near]];
+        let at = |x: f64| corners.map(|corner| [corner[0] + x, corner[1]]).to_vec();
+        for apart in [1.1, 1.3, 2.0] {
+            assert_eq!(check(PeriodicBox::square(4.4), &[at(0.0), at(apart)]), None);
+        }
     }
 
     #[test]

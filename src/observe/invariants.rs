@@ -1,4 +1,4 @@
-use super::{Sample, check_no_crossing};
+use super::{Sample, check_no_coincident, check_no_crossing};
 use crate::engine::{EngineError, System};
 use crate::geometry::{Vec2, add, norm};
 use crate::model::Model;
@@ -39,6 +39,8 @@ pub fn invariants<M: Model>(
         sample.scalars().into_iter().filter(|(_, value)| !value.is_finite()).map(|(name, _)| name).collect();
     let crossing = check_no_crossing(system)?;
     let crossed = crossing.map_or(String::new(), |(a, b)| format!("particles {a} and {b}"));
+    let coincident = check_no_coincident(system)?;
+    let at_one_place = coincident.map_or(String::new(), |(a, b)| format!("particles {a} and {b}"));
     let [largest, one_sided, unequal] = contact_symmetry(system)?;
 
     // the two stresses differ by Σ F ⊗ (x − c)/A, c the centre of the particle
@@ -55,6 +57,7 @@ pub fn invariants<M: Model>(
         Invariant::new("values that are not finite", not_finite.len() as f64, 0.0, &not_finite.join(", ")),
         Invariant::new("max|F|", sample.max_force, force_tolerance, "the state is not relaxed"),
         Invariant::new("crossing outlines", crossing.is_some() as u8 as f64, 0.0, &crossed),
+        Invariant::new("disks at one place", coincident.is_some() as u8 as f64, 0.0, &at_one_place),
         Invariant::new("stresses virial and centroid", sample.energies.stress_mismatch(), unbalanced + rounding, ""),
         Invariant::new("stress xy less yx", torque, rounding, ""),
         Invariant::new("particles and voids, less the box", (filled - 1.0).abs(), 1e-12, "parts of the box"),

@@ -17,7 +17,7 @@ mod voids;
 
 pub use approximations::Approximations;
 pub use contacts::{Contacts, Rattlers, all_pairs, touching};
-pub use crossings::{check_no_crossing, refuse_coincident, refuse_crossings};
+pub use crossings::{check_no_coincident, check_no_crossing, refuse_coincident, refuse_crossings};
 pub use invariants::{Invariant, invariants};
 pub use moduli::{Moduli, Modulus, Stability};
 pub use packing_fraction::PackingFraction;
