@@ -386,7 +386,7 @@ impl Compression {
 }
 
 /// Deformable particles are not compressed further; the greatest `compression.until` that they accept.
-const DENSEST_DP: f64 = 0.999;
+pub const DENSEST_DP: f64 = 0.999;
 
 impl Scene {
     /// Packing fractions at which to sample a packing that jams at `onset`. Deformable particles cannot cover more than
@@ -501,7 +501,7 @@ const KEYS: &[Key] = &[
     sp("potential.epsilon", Float(1e-6, 1e6), "1.0"),
     dp("potential.preset", Choice(&["fast", "paper"]), "\"fast\""),
     dp("potential.delta", Float(1e-3, 0.5), ""), // these three from the preset
-    dp("potential.kappa", Float(1.0, 1e6), ""),
+    dp("potential.kappa", Float(10.0, 1e6), ""), // below some 5 the tension shrinks polygons to points
     dp("potential.stiffness", Float(1e-6, 1e3), ""),
     dp("potential.contact", Choice(&["vertex-edge", "edge-edge"]), "\"vertex-edge\""),
     both("initial.packing_fraction", Float(0.01, 0.7), "0.2"),

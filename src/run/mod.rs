@@ -16,7 +16,7 @@ use crate::model::{EdgeEdge, Model, VertexEdge};
 use crate::observe::{Moduli, OnsetBracket, PerParticle, Rattlers, Sample, refuse_crossings};
 use crate::output::{Folder, print};
 use crate::protocol::{Onset, compress_to, find_onset, shear_by};
-use crate::scene::{Compression, Contact, Method, Physics, Scene};
+use crate::scene::{self, Compression, Contact, Method, Physics, Scene};
 use checkpoint::{Checkpoints, Signals};
 use progress::Progress;
 use records::Records;
@@ -152,6 +152,13 @@ pub fn protocol<M: Model>(
     let densities = scene.samples(onset);
     if let (Compression::Until { until, .. }, []) = (&scene.compression, &densities[..]) {
         tracing::warn!("`compression.until` = {until} is not above the onset at {onset:.6}: no sample but that");
+    }
+    let left_out = scene.compression.samples(onset).len() - densities.len();
+    if left_out > 0 {
+        tracing::warn!(
+            "{left_out} of the samples above the onset at {onset:.6} are left out: polygons are not compressed beyond {}",
+            scene::DENSEST_DP
+        );
     }
     for density in densities {
         let report = compress_to(system, minimizer, &goal, density)?;
