@@ -80,13 +80,14 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             print(&comm, &String::from_utf8_lossy(&list))
         }
         Some(Command::Evaluate { file, frame, with, output }) => {
-            expect_to_write(&comm, output.as_deref(), file)?;
+            expect_to_write(&comm, output.as_deref(), Some(file))?;
             let text = read_configuration(&comm, file, *frame)?;
             let evaluation = exchange::evaluate(comm, &text, &file.display().to_string(), with)?;
             give(&session.world(), output.as_deref(), &evaluation)
         }
         Some(Command::Minimize { file, frame, output, method, force_tolerance, max_iterations }) => {
-            expect_to_write(&comm, Some(output), file)?;
+            // a relaxation may go on in place, but never in that of results
+            expect_to_write(&comm, Some(output), Some(file.as_path()).filter(|file| is_hdf5(file)))?;
             let text = read_configuration(&comm, file, *frame)?;
             let goal = Goal { force_tolerance: *force_tolerance, max_iterations: *max_iterations };
             let origin = file.display().to_string();
@@ -99,7 +100,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             report(outcome, &goal, output)
         }
         Some(Command::Analyze { file, frame, all, output }) => {
-            expect_to_write(&comm, output.as_deref(), file)?;
+            expect_to_write(&comm, output.as_deref(), Some(file))?;
             let text = text_of_configuration(&comm, file)?;
             if text.is_some() && (*all || frame.is_some()) {
                 let file = file.display();
@@ -122,7 +123,7 @@ fn execute(session: &Session, cli: &Cli) -> Result<(), Failure> {
             if let Some(part) = part.filter(|part| !(*part > 0.0 && *part <= 1.0)) {
                 return Err(Failure::Input(format!("--part {part}: it must be above 0 and not above 1, such as 0.2")));
             }
-            expect_to_write(&comm, Some(output), file)?;
+            expect_to_write(&comm, Some(output), Some(file))?;
             frames::render(comm, file, *frame, *color_by, *part, output)
         }
         Some(Command::Info { file }) => {
@@ -277,14 +278,12 @@ fn give(comm: &Comm, file: Option<&Path>, text: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses a file for results that cannot be written, or is the one that is read, before they are computed.
-fn expect_to_write(comm: &Comm, file: Option<&Path>, input: &Path) -> Result<(), Failure> {
+/// Refuses a file for results that cannot be written, or is the one that is to be kept, before they are computed.
+fn expect_to_write(comm: &Comm, file: Option<&Path>, keep: Option<&Path>) -> Result<(), Failure> {
     let Some(file) = to_write(file) else { return Ok(()) };
     comm.from_root(|| {
-        let [to, from] = [file, input].map(std::fs::canonicalize);
-        if let (Ok(to), Ok(from)) = (to, from)
-            && to == from
-        {
+        let [to, from] = [Some(file), keep].map(|file| file.and_then(|file| std::fs::canonicalize(file).ok()));
+        if to.is_some() && to == from {
             return Err(Failure::Input(format!("{} is what is read: give -o another name", file.display())));
         }
         can_be_written(file).map(|()| Vec::new()).map_err(|e| Failure::Input(e.to_string()))

@@ -574,6 +574,7 @@ fn a_relaxation_that_does_not_converge_hands_its_state_on() {
     let outcome = place.jamhpc(&["minimize", "start.json", "-o", "end.json", "--max-iterations", "2"]);
     outcome.fails_with(3, &["not converged", "end.json", "--max-iterations"]);
     assert!(String::from_utf8(place.read("end.json")).unwrap().contains("\"converged\":false"));
+    place.jamhpc(&["evaluate", "end.json", "-o", "end.json"]).fails_with(2, &["end.json is what is read", "-o"]);
     place.jamhpc(&["minimize", "end.json", "-o", "end.json"]).succeeds();
     assert!(String::from_utf8(place.read("end.json")).unwrap().contains("\"converged\":true"));
 }
