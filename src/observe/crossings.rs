@@ -189,12 +189,19 @@ mod tests {
     #[test]
     fn corners_at_one_height() {
         // the edges of these squares add up to 10⁻¹⁷, not to zero
-        let (near, far) = (0.3535533905932738, 0.35355339059327373);
-        let corners = [[near, far], [-far, near], [-far, -far], [far, -near]];
-        let at = |x: f64| corners.map(|corner| [corner[0] + x, corner[1]]).to_vec();
-        for apart in [1.1, 1.3, 2.0] {
-            assert_eq!(check(PeriodicBox::square(4.4), &[at(0.0), at(apart)]), None);
-        }
+        let first = [
+            [0.3535533905932738, 0.35355339059327373],
+            [-0.35355339059327373, 0.3535533905932738],
+            [-0.35355339059327384, -0.35355339059327373],
+            [0.3535533905932737, -0.35355339059327384],
+        ];
+        let second = [
+            [1.4535533905932738, 0.35355339059327373],
+            [0.7464466094067264, 0.3535533905932738],
+            [0.7464466094067262, -0.35355339059327373],
+            [1.4535533905932738, -0.35355339059327384],
+        ];
+        assert_eq!(check(PeriodicBox::square(4.4), &[first.to_vec(), second.to_vec()]), None);
     }
 
     #[test]
