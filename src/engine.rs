@@ -546,7 +546,7 @@ impl<M: Model> System<M> {
         self.lay_bare();
         let owned = self.particles.len();
         let owned_points = self.particles.owned_points();
-        let radius = self.comm.max(self.largest_circumradius());
+        let [radius, edge] = self.comm.max_each([self.largest_circumradius(), self.longest_edge()]);
         let widths = self.pbox.widths();
         let range = self.model.range(self.largest_size) + 2.0 * radius;
         // the box may have become smaller since the skin was chosen; that of bodies is how far Newton steps look, and stays
@@ -562,7 +562,7 @@ impl<M: Model> System<M> {
                 self.skin = self.skin.min(0.5 * width - range);
             }
         }
-        self.check_edges(widths)?;
+        self.check_edges(edge, widths[0].min(widths[1]))?;
         let halo = range + self.skin;
         self.grid.check(&self.pbox, halo)?;
         let margin = widths.map(|w| halo / w);
@@ -598,19 +598,20 @@ impl<M: Model> System<M> {
         threads::largest(particles.len(), |p| particles.circumradius(pbox, p))
     }
 
+    /// Of own particles; 0 of disks.
+    fn longest_edge(&self) -> f64 {
+        let (particles, pbox) = (&self.particles, &self.pbox);
+        let count = if M::BODIES { particles.len() } else { 0 };
+        threads::largest(count, |p| Polygon::from_vertices(pbox, particles.points_of(p)).longest_edge())
+    }
+
     /// Between a point and the edge on which it acts the vector is taken to an end of that edge, in the nearest image, which
     /// is that of the edge only where the box is wide enough.
-    fn check_edges(&self, widths: [f64; 2]) -> Result<(), EngineError> {
-        if !M::BODIES {
-            return Ok(());
-        }
-        let (particles, pbox) = (&self.particles, &self.pbox);
-        let longest = |p| Polygon::from_vertices(pbox, particles.points_of(p)).longest_edge();
-        let edge = self.comm.max(threads::largest(particles.len(), longest));
+    fn check_edges(&self, edge: f64, width: f64) -> Result<(), EngineError> {
         let range = self.model.range(self.largest_size);
         let [edges, skins] = M::EDGES_AND_SKINS_BETWEEN;
-        let (least, width) = (2.0 * (edges * edge + range + skins * self.skin), widths[0].min(widths[1]));
-        if least >= width { Err(EngineError::LongEdges { edge, range, least, width }) } else { Ok(()) }
+        let least = 2.0 * (edges * edge + range + skins * self.skin);
+        if M::BODIES && least >= width { Err(EngineError::LongEdges { edge, range, least, width }) } else { Ok(()) }
     }
 
     /// Every particle to the rank that owns its centre. Particles travel one subdomain at a time, so that only

@@ -356,6 +356,9 @@ fn disks_at_one_place_are_not_relaxed() {
                  \"positions\":[[1,1],[3,2],[1,1]]}";
     let place = Place::with("disks.json", disks);
     place.refuses(&["minimize", "disks.json", "-o", "out.json"], &["disks 0 and 2 lie at one place", "move"]);
+    let check = place.jamhpc(&["check", "disks.json"]);
+    check.fails_with(1, &["disks.json is not valid"]);
+    assert!(check.stderr.contains("disks at one place") && check.stderr.contains("(particles 0 and 2)"));
     place.jamhpc(&["evaluate", "disks.json"]).succeeds();
 }
 

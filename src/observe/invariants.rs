@@ -37,10 +37,12 @@ pub fn invariants<M: Model>(
 ) -> Result<Vec<Invariant>, EngineError> {
     let not_finite: Vec<&str> =
         sample.scalars().into_iter().filter(|(_, value)| !value.is_finite()).map(|(name, _)| name).collect();
+    let no_pair = |name: &str, found: Option<(u32, u32)>| {
+        let pair = found.map_or(String::new(), |(a, b)| format!("particles {a} and {b}"));
+        Invariant::new(name, found.is_some() as u8 as f64, 0.0, &pair)
+    };
     let crossing = check_no_crossing(system)?;
-    let crossed = crossing.map_or(String::new(), |(a, b)| format!("particles {a} and {b}"));
     let coincident = check_no_coincident(system)?;
-    let at_one_place = coincident.map_or(String::new(), |(a, b)| format!("particles {a} and {b}"));
     let [largest, one_sided, unequal] = contact_symmetry(system)?;
 
     // the two stresses differ by Σ F ⊗ (x − c)/A, c the centre of the particle
@@ -56,8 +58,8 @@ pub fn invariants<M: Model>(
     Ok(vec![
         Invariant::new("values that are not finite", not_finite.len() as f64, 0.0, &not_finite.join(", ")),
         Invariant::new("max|F|", sample.max_force, force_tolerance, "the state is not relaxed"),
-        Invariant::new("crossing outlines", crossing.is_some() as u8 as f64, 0.0, &crossed),
-        Invariant::new("disks at one place", coincident.is_some() as u8 as f64, 0.0, &at_one_place),
+        no_pair("crossing outlines", crossing),
+        no_pair("disks at one place", coincident),
         Invariant::new("stresses virial and centroid", sample.energies.stress_mismatch(), unbalanced + rounding, ""),
         Invariant::new("stress xy less yx", torque, rounding, ""),
         Invariant::new("particles and voids, less the box", (filled - 1.0).abs(), 1e-12, "parts of the box"),
