@@ -4,7 +4,7 @@ use jamhpc::comm::Comm;
 use jamhpc::engine::{EngineError, System};
 use jamhpc::geometry::{PeriodicBox, Vec2};
 use jamhpc::minimize::{Fire, Goal, HeavyBall, Minimized, Minimizer, Newton, Report};
-use jamhpc::model::{Deformable, DeformableParameters, Harmonic, SoftDisks, VertexEdge};
+use jamhpc::model::{Deformable, DeformableParameters, Harmonic, Prestress, SoftDisks, VertexEdge};
 use jamhpc::observe::check_no_crossing;
 use jamhpc::particles::{Bodies, Particles};
 use jamhpc::protocol::{OnsetSearch, Species, compress_to, deformable_particles, find_onset};
@@ -18,13 +18,16 @@ fn goal(force_tolerance: f64) -> Goal {
     Goal { force_tolerance, max_iterations: 200_000 }
 }
 
-/// 16 particles at rho = 0.7; `stiffness` is that of contacts over that of areas, 1.1 for the paper's and 0.01 for
+/// 16 particles at rho = 0.7, or so many times as many; `stiffness` is that of contacts over that of areas, 1.1 for the paper's and 0.01 for
 /// soft ones.
 fn dilute(stiffness: f64, seed: u64) -> Packing {
+    many(1, stiffness, seed)
+}
+
+fn many(times: u32, stiffness: f64, seed: u64) -> Packing {
     let small = (24.0f64 / 29.0).powi(2);
     let large = small * (17.0f64 / 12.0).powi(2);
-    let species =
-        [Species { count: 8, size: small, n_vertices: 12 }, Species { count: 8, size: large, n_vertices: 17 }];
+    let species = [(small, 12), (large, 17)].map(|(size, n_vertices)| Species { count: 8 * times, size, n_vertices });
     let k_area = 1000.0 / (small * small);
     let area: f64 = species.iter().map(|s| s.count as f64 * s.undeformed_area(DELTA)).sum();
     let at = |density: f64| PeriodicBox::square((area / density).sqrt());
@@ -65,6 +68,20 @@ fn stiff_contacts_relax_to_rounding_in_few_evaluations() {
         assert!(energies.stress_mismatch() < 1e-8, "{density}: {energies:?}");
         assert!(density < 0.85 || energies.pressure() > 1e-3, "{density}: {energies:?}");
     }
+}
+
+/// Large enough for all that is done in large systems only.
+#[test]
+fn a_large_packing_relaxes_to_rounding_in_few_evaluations() {
+    let mut packing = many(10, 1.1, 1);
+    assert!(packing.n_points() > 2000);
+    let tolerance = 1e-12 * packing.model.parameters.contact.epsilon;
+    for density in [0.80, 0.88, 0.92] {
+        let report = compress_to(&mut packing, &Newton, &goal(tolerance), density).unwrap();
+        assert!(report.force_evaluations < 80_000, "{density}: {report:?}");
+        assert!(packing.max_force().unwrap() <= tolerance);
+    }
+    assert_eq!(check_no_crossing(&mut packing).unwrap(), None);
 }
 
 #[test]
@@ -181,11 +198,13 @@ fn forces_are_foreseen_where_contacts_open_and_close() {
     packing.prepare_for_reach().unwrap();
     packing.max_force().unwrap();
     assert_eq!(packing.forces(), before, "stored in the same order");
-    let (still, present) =
-        (Stiffness::ahead(&mut packing, 1.0, &vec![[0.0; 2]; moves.len()]), Stiffness::of(&mut packing, 1.0));
+    let (still, present) = (
+        Stiffness::ahead(&mut packing, Prestress::ALL, &vec![[0.0; 2]; moves.len()]),
+        Stiffness::of(&mut packing, Prestress::ALL),
+    );
     assert!(still.0 == present.unwrap(), "where nothing moves contacts are the present ones, to the last bit");
-    let ahead = Stiffness::ahead(&mut packing, 1.0, &moves);
-    let plain = (Stiffness::of(&mut packing, 1.0).unwrap(), vec![[0.0; 2]; before.len()]);
+    let ahead = Stiffness::ahead(&mut packing, Prestress::ALL, &moves);
+    let plain = (Stiffness::of(&mut packing, Prestress::ALL).unwrap(), vec![[0.0; 2]; before.len()]);
     let [ahead, plain] = [ahead, plain].map(|(form, changes)| {
         let mut product = vec![[[0.0; 2]]; before.len()];
         form.product(&mut packing, &mut moves.iter().map(|&m| [m]).collect(), &mut product);

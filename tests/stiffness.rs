@@ -4,9 +4,9 @@ mod perturbed;
 
 use jamhpc::geometry::{PeriodicBox, Vec2};
 use jamhpc::minimize::{Fire, Goal, Minimizer};
-use jamhpc::model::{Deformable, EdgeEdge, Model, SoftDisks, VertexEdge};
+use jamhpc::model::{Deformable, EdgeEdge, Model, Prestress, SoftDisks, VertexEdge};
 use jamhpc::observe::{Moduli, Spectrum, Stability};
-use jamhpc::particles::Particles;
+use jamhpc::particles::{Bodies, Particles};
 use jamhpc::protocol::quasi_static_shear_modulus;
 use jamhpc::stiffness::{Cholesky, Stiffness, elastic};
 use perturbed::*;
@@ -40,7 +40,7 @@ fn check<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Particles, st
     let mut here = system(model, pbox, particles);
     let largest = here.max_force().unwrap();
     assert!(largest > 0.0, "nothing acts");
-    let stiffness = Stiffness::of(&mut here, 1.0).unwrap();
+    let stiffness = Stiffness::of(&mut here, Prestress::ALL).unwrap();
     let stored = here.own_particles();
     let n = stored.owned_points();
     let direction: Vec<Vec2> = (0..n).map(|k| [noise(3 * k), noise(3 * k + 1)]).collect();
@@ -251,7 +251,7 @@ fn check_factor<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Partic
     let eigenvalues = Spectrum::of(&mut system).unwrap().unwrap().eigenvalues;
     let (lowest, highest) = (eigenvalues[0], eigenvalues[eigenvalues.len() - 1]);
     assert!(lowest < -1e-6 * highest, "{lowest} {highest}");
-    let stiffness = Stiffness::of(&mut system, 1.0).unwrap();
+    let stiffness = Stiffness::of(&mut system, Prestress::ALL).unwrap();
     let mut cholesky = Cholesky::default();
     cholesky.load(&system, &stiffness);
     let margin = 1e-9 * highest;
@@ -266,6 +266,55 @@ fn check_factor<M: Model + Copy>(model: M, pbox: PeriodicBox, particles: &Partic
         let rounding = 1e-14 * highest / (shift + lowest);
         close("solution", cholesky.solve(&system, &b).as_flattened(), u.as_flattened(), 100.0 * rounding);
     }
+}
+
+/// Without what buckles, springs pull back every motion that changes their length, and nothing pushes.
+#[test]
+fn braced_disks_are_stable() {
+    for tilt in [0.0, 2.3] {
+        let (pbox, pushed) = shaken(DISKS, 0.3, tilt);
+        let mut system = system(SoftDisks { epsilon: 1.0, smallest: 1.0 }, pbox, &pushed);
+        let is_stable = [Prestress::ALL, Prestress::ALL.braced()].map(|prestress| {
+            let mut cholesky = Cholesky::default();
+            let stiffness = Stiffness::of(&mut system, prestress).unwrap();
+            cholesky.load(&system, &stiffness);
+            cholesky.factorize(&system.comm, 1e-9)
+        });
+        assert_eq!(is_stable, [false, true]);
+    }
+}
+
+/// The corner of a square pressed on that of another by f at the distance d: all that is missing when braced is −f/d
+/// across.
+#[test]
+fn braced_corners_keep_all_but_their_buckling() {
+    let square = |x: f64| [[x + 1.0, 3.0], [x, 4.0], [x - 1.0, 3.0], [x, 2.0]];
+    let (pbox, apart) = (PeriodicBox::square(10.0), 0.09);
+    let mut particles = Particles::empty(&Bodies::Polygons { first: vec![0] });
+    for (id, corners) in [square(3.0), square(5.0 + apart)].iter().enumerate() {
+        particles.push(id as u32, 1.0, &corners.map(|corner| pbox.frac(corner)));
+    }
+    let model = |epsilon: f64| Deformable::<VertexEdge>::new(parameters(1.0, 100.0, epsilon, 0.1));
+    let [with, without] = [1e4, 0.0].map(|epsilon| forces(model(epsilon), pbox, &particles));
+    let push: f64 = with.iter().zip(&without).map(|(a, b)| (a[0] - b[0]).abs()).sum::<f64>() / 2.0;
+    assert!(push > 0.1);
+    let mut system = system(model(1e4), pbox, &particles);
+    let forms = [Prestress::ALL, Prestress::ALL.braced()].map(|part| Stiffness::of(&mut system, part).unwrap());
+    let mut missing = [[0.0; 2]; 2];
+    for (moved, axis) in (0..8).flat_map(|point| [(point, 0), (point, 1)]) {
+        let [all, braced] = [0, 1].map(|k| {
+            let mut u = vec![[[0.0; 2]]; 8];
+            u[moved][0][axis] = 1.0;
+            let mut product = u.clone();
+            forms[k].product(&mut system, &mut u, &mut product);
+            product
+        });
+        for (along, sum) in missing[axis].iter_mut().enumerate() {
+            *sum += (0..8).map(|i| (all[i][0][along] - braced[i][0][along]).abs()).sum::<f64>();
+        }
+    }
+    // of both corners for both
+    close("across", missing.as_flattened(), &[0.0, 0.0, 0.0, 4.0 * push / apart], 1e-9);
 }
 
 #[test]

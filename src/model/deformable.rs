@@ -1,4 +1,6 @@
-use super::stiffness::{Block, Elastic, TouchStiffness, add_elastic, along_and_across, scaled, strained, times};
+use super::stiffness::{
+    Block, Elastic, Prestress, TouchStiffness, add_elastic, along_and_across, scaled, strained, times,
+};
 use super::{Ahead, Harmonic, Model, Outline, Terms, View, add_outer, masses};
 use crate::geometry::{PeriodicBox, Polygon, Vec2, add, cross, dot, norm, scale, sub};
 use crate::neighbor::{Candidates, PointList};
@@ -176,7 +178,7 @@ impl<C: Contact> Deformable<C> {
         view: &View<C::List>,
         p: usize,
         touch: &Touch,
-        prestress: f64,
+        prestress: Prestress,
         add: &mut impl FnMut(usize, u32, Block),
     ) {
         let first = view.particles.bodies.points(p).start;
@@ -307,7 +309,7 @@ impl<C: Contact> Model for Deformable<C> {
         self.parameters.line_tension
     }
 
-    fn stiffness(&self, view: &View<C::List>, p: usize, prestress: f64, mut add: impl FnMut(usize, u32, Block)) {
+    fn stiffness(&self, view: &View<C::List>, p: usize, prestress: Prestress, mut add: impl FnMut(usize, u32, Block)) {
         self.shape_stiffness(view, p, &mut add);
         C::for_each_touch(self.parameters.contact, view, p, |touch| {
             self.touch_stiffness(view, p, &touch, prestress, &mut add);
@@ -318,7 +320,7 @@ impl<C: Contact> Model for Deformable<C> {
         &self,
         view: &View<C::List>,
         p: usize,
-        prestress: f64,
+        prestress: Prestress,
         ahead: &Ahead,
         mut add: impl FnMut(usize, u32, Block),
         mut push: impl FnMut(usize, Vec2),
@@ -351,7 +353,7 @@ impl<C: Contact> Model for Deformable<C> {
             }
             if stays {
                 touch.force = if touches { force } else { [0.0; 2] };
-                self.touch_stiffness(view, p, &touch, if touches { prestress } else { 0.0 }, &mut add);
+                self.touch_stiffness(view, p, &touch, if touches { prestress } else { Prestress::NONE }, &mut add);
             }
         });
     }
@@ -386,7 +388,7 @@ impl<C: Contact> Model for Deformable<C> {
         };
         add_elastic(&mut elastic, |a, b| square * trace(a) * trace(b) + excess * determinant(a, b));
         C::for_each_touch(contact, view, p, |touch| {
-            TouchStiffness::of(contact, &touch, 1.0).add_elastic(&touch, 0.5, &mut elastic);
+            TouchStiffness::of(contact, &touch, Prestress::ALL).add_elastic(&touch, 0.5, &mut elastic);
         });
         elastic
     }

@@ -11,7 +11,7 @@ mod vertex_edge;
 pub use deformable::{Contact, Deformable, DeformableParameters};
 pub use edge_edge::EdgeEdge;
 pub use soft_disks::SoftDisks;
-pub use stiffness::{Block, Elastic, strained, times};
+pub use stiffness::{Block, Elastic, Prestress, strained, times};
 pub use vertex_edge::VertexEdge;
 
 use crate::geometry::{Frac, PeriodicBox, Polygon, Vec2};
@@ -155,7 +155,13 @@ pub trait Model: Copy + Send + Sync {
     /// The blocks of the Hessian in the rows of own particle `particle`: `add(point, column, block)` with the point
     /// counted from the particle's first. Blocks of one row and column add up. [`Model::area_stiffness`] is not in it.
     /// The part that contact forces contribute by turning (pre-stress) is multiplied by `prestress`.
-    fn stiffness(&self, view: &View<Self::List>, particle: usize, prestress: f64, add: impl FnMut(usize, u32, Block));
+    fn stiffness(
+        &self,
+        view: &View<Self::List>,
+        particle: usize,
+        prestress: Prestress,
+        add: impl FnMut(usize, u32, Block),
+    );
 
     /// The same where contacts are those that are left or made when points move by the displacements of `ahead`, as long
     /// as outlines are straight lines there: contacts that open are left out, those that close are put in, and
@@ -165,7 +171,7 @@ pub trait Model: Copy + Send + Sync {
         &self,
         view: &View<Self::List>,
         particle: usize,
-        prestress: f64,
+        prestress: Prestress,
         _ahead: &Ahead,
         add: impl FnMut(usize, u32, Block),
         _push: impl FnMut(usize, Vec2),

@@ -1,4 +1,4 @@
-use super::stiffness::{Block, Elastic, add_elastic, of_separation, scaled, strained, times};
+use super::stiffness::{Block, Elastic, Prestress, add_elastic, of_separation, scaled, strained, times};
 use super::{Harmonic, Model, Outline, Terms, View, add_outer};
 use crate::geometry::{Vec2, dot, norm};
 use crate::lanes::{self, Kernel, LANES, Lanes, TAGS, Tagged, point_of};
@@ -38,7 +38,7 @@ struct Overlap {
 
 impl SoftDisks {
     /// Second derivative of the energy of an overlap by the separation.
-    fn block(&self, overlap: &Overlap, prestress: f64) -> Block {
+    fn block(&self, overlap: &Overlap, prestress: Prestress) -> Block {
         let law = Harmonic { epsilon: self.epsilon, delta: overlap.contact };
         of_separation(law, overlap.separation, overlap.distance, prestress)
     }
@@ -204,7 +204,7 @@ impl Model for SoftDisks {
         self.epsilon / self.smallest
     }
 
-    fn stiffness(&self, view: &View<DiskList>, i: usize, prestress: f64, mut add: impl FnMut(usize, u32, Block)) {
+    fn stiffness(&self, view: &View<DiskList>, i: usize, prestress: Prestress, mut add: impl FnMut(usize, u32, Block)) {
         for overlap in self.overlaps(view, i).filter(|o| o.distance > 0.0) {
             let block = self.block(&overlap, prestress);
             add(0, i as u32, block);
@@ -219,7 +219,7 @@ impl Model for SoftDisks {
     fn elastic(&self, view: &View<DiskList>, i: usize) -> Elastic {
         let mut elastic = [0.0; 10];
         for overlap in self.overlaps(view, i).filter(|o| o.distance > 0.0) {
-            let (block, r) = (self.block(&overlap, 1.0), overlap.separation);
+            let (block, r) = (self.block(&overlap, Prestress::ALL), overlap.separation);
             add_elastic(&mut elastic, |a, b| 0.5 * dot(strained(a, r), times(&block, strained(b, r))));
         }
         elastic

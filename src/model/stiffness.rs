@@ -32,6 +32,33 @@ pub(super) fn add_elastic(elastic: &mut Elastic, form: impl Fn(usize, usize) -> 
     }
 }
 
+/// Parts of what the present contact forces contribute to the Hessian by turning (pre-stress).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prestress {
+    /// Of disks on disks and vertices on vertices, which buckle: their forces push across what they are along, and make
+    /// the Hessian negative where nothing else holds.
+    pub buckling: f64,
+    /// Of vertices on edges.
+    pub sliding: f64,
+}
+
+impl Prestress {
+    /// The Hessian as it is.
+    pub const ALL: Self = Self::part(1.0);
+    /// That of the same contacts if they did not push yet.
+    pub const NONE: Self = Self::part(0.0);
+
+    /// The Hessian if all contact forces were this part of what they are.
+    pub const fn part(part: f64) -> Self {
+        Prestress { buckling: part, sliding: part }
+    }
+
+    /// The same without the part that buckles.
+    pub fn braced(self) -> Self {
+        Prestress { buckling: 0.0, ..self }
+    }
+}
+
 /// Block times vector.
 #[inline(always)]
 pub fn times(b: &Block, u: Vec2) -> Vec2 {
@@ -60,11 +87,15 @@ pub(super) fn along_and_across(n: Vec2, along: f64, across: f64) -> Block {
 }
 
 /// Second derivative of a central law by the separation vector r of length d > 0, the part of its force times
-/// `prestress`.
+/// `prestress.buckling`.
 #[inline(always)]
-pub(super) fn of_separation(law: Harmonic, r: Vec2, d: f64, prestress: f64) -> Block {
+pub(super) fn of_separation(law: Harmonic, r: Vec2, d: f64, prestress: Prestress) -> Block {
     // φ″ = ε/δ² along, φ′/d across, which is negative: pushing contacts buckle
-    along_and_across(scale(1.0 / d, r), law.epsilon / (law.delta * law.delta), -prestress * law.force_over_distance(d))
+    along_and_across(
+        scale(1.0 / d, r),
+        law.epsilon / (law.delta * law.delta),
+        -prestress.buckling * law.force_over_distance(d),
+    )
 }
 
 /// How the force of a touch answers to motion of its points: with w the motion of the touching places against each
@@ -81,7 +112,7 @@ pub(super) struct TouchStiffness {
 }
 
 impl TouchStiffness {
-    pub fn of(law: Harmonic, touch: &Touch, prestress: f64) -> Self {
+    pub fn of(law: Harmonic, touch: &Touch, prestress: Prestress) -> Self {
         let (s, d) = (touch.separation, norm(touch.separation));
         let sign = if touch.energy < 0.0 { -1.0 } else { 1.0 };
         if d == 0.0 {
@@ -101,13 +132,13 @@ impl TouchStiffness {
         // force turns with the edge
         let n = scale(1.0 / d, s);
         let length2 = dot(along, along);
-        let strength = prestress * sign * law.force_over_distance(d) * d;
+        let strength = prestress.sliding * sign * law.force_over_distance(d) * d;
         TouchStiffness {
             a: outer(sign * law.epsilon / (law.delta * law.delta), n, n),
             b: outer(strength / length2, along, n),
             place: scale(side / length2, along),
             turn: scale(side / length2, s),
-            side: side * prestress,
+            side: side * prestress.sliding,
             along,
         }
     }

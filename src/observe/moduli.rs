@@ -1,7 +1,7 @@
 use super::{Contacts, Rattlers};
 use crate::engine::{EngineError, System};
 use crate::geometry::Vec2;
-use crate::model::Model;
+use crate::model::{Model, Prestress};
 use crate::stiffness::{Goal, Preconditioner, Stiffness, elastic, solve};
 
 /// A modulus: the answer of the stress to a strain, in units of the stress.
@@ -78,7 +78,7 @@ impl Moduli {
     fn of_all<M: Model>(system: &mut System<M>) -> Result<Moduli, EngineError> {
         let energies = system.energies()?;
         let affine = elastic(system)?;
-        let stiffness = Stiffness::of(system, 1.0)?;
+        let stiffness = Stiffness::of(system, Prestress::ALL)?;
         let preconditioner = Preconditioner::of(system, &stiffness);
         let b: Vec<[Vec2; 3]> = {
             let forces = stiffness.affine_forces(system);

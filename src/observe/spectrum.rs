@@ -1,5 +1,5 @@
 use crate::engine::{EngineError, System};
-use crate::model::Model;
+use crate::model::{Model, Prestress};
 use crate::stiffness::Stiffness;
 use nalgebra::DMatrix;
 use std::collections::BTreeMap;
@@ -27,7 +27,7 @@ impl Spectrum {
         if 2 * system.n_points() > MAX_COORDINATES {
             return Ok(None);
         }
-        let stiffness = Stiffness::of(system, 1.0)?;
+        let stiffness = Stiffness::of(system, Prestress::ALL)?;
         // row, column and block of each entry, by global names
         let mut words = Vec::new();
         stiffness.for_each_block(system, |row, column, block| {

@@ -39,7 +39,8 @@ pub struct Cholesky {
     values: Vec<f64>,
     diagonal: Vec<f64>,
     factor: Vec<f64>,
-    is_factored: bool,
+    /// The shift with which there is a factor, on the root.
+    shift: Option<f64>,
 }
 
 impl Cholesky {
@@ -47,7 +48,7 @@ impl Cholesky {
     pub fn load<M: Model>(&mut self, system: &System<M>, stiffness: &Stiffness) {
         let Rows { layout, values } = stiffness.lower_rows(system);
         let (layout, values) = (system.comm.gather(layout), system.comm.gather(values));
-        self.is_factored = false;
+        self.shift = None;
         if !system.comm.is_root() {
             return;
         }
@@ -68,8 +69,10 @@ impl Cholesky {
 
     /// Factors H + `shift`; false where that is not positive definite. Collective.
     pub fn factorize(&mut self, comm: &Comm, shift: f64) -> bool {
-        self.is_factored = comm.is_root() && self.factorize_here(shift);
-        comm.broadcast(vec![self.is_factored as u8])[0] == 1
+        if self.shift != Some(shift) {
+            self.shift = (comm.is_root() && self.factorize_here(shift)).then_some(shift);
+        }
+        comm.broadcast(vec![self.shift.is_some() as u8])[0] == 1
     }
 
     fn factorize_here(&mut self, shift: f64) -> bool {
@@ -99,7 +102,7 @@ impl Cholesky {
         let named = |(&name, v): (&u64, &Vec2)| [name, v[0].to_bits(), v[1].to_bits()];
         let gathered = comm.gather(name.iter().zip(b).flat_map(named).collect::<Vec<u64>>());
         let mut parts = vec![Vec::new(); comm.size()];
-        if let (Some(analysis), true) = (&self.analysis, self.is_factored) {
+        if let (Some(analysis), true) = (&self.analysis, self.shift.is_some()) {
             let mut x = Col::<f64>::zeros(analysis.lower.ncols());
             for named in gathered.iter().flat_map(|part| part.chunks_exact(3)) {
                 let place = analysis.place(named[0]);

@@ -13,7 +13,7 @@ pub use solve::{Goal, Solution, solve, sums};
 
 use crate::engine::{EngineError, System};
 use crate::geometry::{Polygon, Vec2, add, dot, scale, sub};
-use crate::model::{Ahead, Block, Elastic, Model, strained, times};
+use crate::model::{Ahead, Block, Elastic, Model, Prestress, strained, times};
 use crate::particles::Particles;
 use crate::threads;
 
@@ -30,8 +30,8 @@ pub struct Stiffness {
 }
 
 impl Stiffness {
-    /// Assembles H, the part that the present contact forces contribute (pre-stress) times `prestress`. Collective.
-    pub fn of<M: Model>(system: &mut System<M>, prestress: f64) -> Result<Self, EngineError> {
+    /// Assembles H, the part that the present contact forces contribute by turning as far as `prestress` says. Collective.
+    pub fn of<M: Model>(system: &mut System<M>, prestress: Prestress) -> Result<Self, EngineError> {
         system.prepare()?;
         let (view, model) = (system.view(), &system.model);
         Ok(Self::assemble(system, |p, rows, _| {
@@ -43,7 +43,7 @@ impl Stiffness {
     /// The same with the contacts that are left when own points move by `displacement`
     /// ([`Model::stiffness_ahead`]), and by how much the forces on the own points then differ. Call
     /// [`System::prepare_for_reach`] first. Collective.
-    pub fn ahead<M: Model>(system: &mut System<M>, prestress: f64, displacement: &[Vec2]) -> (Self, Vec<Vec2>) {
+    pub fn ahead<M: Model>(system: &mut System<M>, prestress: Prestress, displacement: &[Vec2]) -> (Self, Vec<Vec2>) {
         let displacement = system.share(displacement.to_vec());
         let (view, model) = (system.view(), &system.model);
         let ahead = Ahead { displacement: &displacement, reach: system.reach() };

@@ -3,7 +3,7 @@ mod steps;
 
 use super::{ConjugateGradient, Fire, Goal, HeavyBall, Minimized, Minimizer, Report, check_not_runaway};
 use crate::engine::{EngineError, System};
-use crate::model::Model;
+use crate::model::{Model, Prestress};
 use crate::stiffness::Cholesky;
 use past::Past;
 
@@ -151,7 +151,7 @@ impl Search<'_> {
         self.stiffest = at(SOFTEST).stiffest();
         if is_fine && self.once(system, |search, system| search.forces(system))? <= small {
             // contact forces as they are after a change of the box say nothing of those at balance: no pre-stress
-            if self.attempt(system, self.goal.force_tolerance, 0.0)? {
+            if self.attempt(system, self.goal.force_tolerance, Prestress::NONE)? {
                 return Ok(true);
             }
         }
@@ -176,7 +176,7 @@ impl Search<'_> {
             let tolerance = if next == 1.0 { self.goal.force_tolerance } else { fine };
             system.model = at(next);
             self.is_hard = next == 1.0;
-            if is_fine && self.attempt(system, tolerance, level / next)? {
+            if is_fine && self.attempt(system, tolerance, Prestress::part(level / next))? {
                 harder = HARDER;
             } else if self.is_gentle && harder > HARDER_LEAST {
                 harder = harder.sqrt();
@@ -244,7 +244,7 @@ impl Search<'_> {
                 break;
             }
             tolerance = (0.01 * tolerance).max(least);
-            if self.attempt(system, tolerance, 1.0)? {
+            if self.attempt(system, tolerance, Prestress::ALL)? {
                 continue;
             }
             let goal = self.goal_of(tolerance, u64::MAX);
@@ -363,7 +363,7 @@ impl Search<'_> {
             }
             // disks that do not press on each other yet are still on their way to other contacts
             let is_near = M::BODIES || self.report.max_force <= PRESSED * self.push(system)?;
-            if is_near && self.steps(system, tolerance, 1.0, &[bends], false)? {
+            if is_near && self.steps(system, tolerance, Prestress::ALL, &[bends], false)? {
                 return Ok(true);
             }
             bends = self.is_gentle && is_near && !bends;
@@ -378,7 +378,7 @@ impl Search<'_> {
         &mut self,
         system: &mut System<M>,
         tolerance: f64,
-        prestress: f64,
+        prestress: Prestress,
     ) -> Result<bool, EngineError> {
         let ways: &[bool] = if self.is_gentle { &[false, true] } else { &[false] };
         self.steps(system, tolerance, prestress, ways, true)
@@ -390,7 +390,7 @@ impl Search<'_> {
         &mut self,
         system: &mut System<M>,
         tolerance: f64,
-        prestress: f64,
+        prestress: Prestress,
         bends: &[bool],
         back: bool,
     ) -> Result<bool, EngineError> {

@@ -3,7 +3,7 @@ use crate::comm::FusedSums;
 use crate::engine::{EngineError, System};
 use crate::geometry::{Vec2, add, dot, norm, scale, sub};
 use crate::minimize::{ConjugateGradient, Minimizer};
-use crate::model::Model;
+use crate::model::{Model, Prestress};
 use crate::stiffness::{Stiffness, sums};
 
 /// Newton steps after which a level counts as not reached.
@@ -42,6 +42,10 @@ const SMALL_SYSTEM: u64 = 2000;
 /// Once that has been met with, steps minimise a quadratic form of the energy in which contacts push one way only: those
 /// that open on the way are left out and those that close are put in, chosen again up to [`CHOICES`] times.
 ///
+/// Where the Hessian is not positive, some pair of particles is about to roll off each other, and a shift that holds that
+/// holds back the soft motions of all the others. Large systems, which have such a pair more often than not, leave out what
+/// lets vertices on vertices buckle first, and shift only what is not positive then either. Small ones gain nothing.
+///
 /// One step is for the whole system: it ends where the worst of its contacts is. What such places are
 /// left with is stiff and local, and gone after some conjugate gradients: with them steps are fewer in large systems. Small
 /// ones gain nothing, nor do contacts that are softer yet, near the onset.
@@ -52,20 +56,20 @@ const SMALL_SYSTEM: u64 = 2000;
 /// straight steps have led nowhere: they come to the minimum in half the time where they do.
 impl Search<'_> {
     /// Newton steps until no force is above `tolerance`; false when that does not go well. The first step takes
-    /// `prestress` times the present contact forces for what they contribute to the Hessian. Steps that bend come later to the
+    /// `prestress` of the present contact forces for what they contribute to the Hessian. Steps that bend come later to the
     /// minimum than straight ones, where those do.
     pub(super) fn newton<M: Model>(
         &mut self,
         system: &mut System<M>,
         tolerance: f64,
-        mut prestress: f64,
+        mut prestress: Prestress,
         bends: bool,
     ) -> Result<bool, EngineError> {
         let cap = LONGEST * system.model.step_cap();
         let least = SHIFT_LEAST * self.stiffest;
         let mut shift = least;
         let mut looks_ahead = false;
-        let smooths = M::BODIES && system.n_points() > SMALL_SYSTEM;
+        let is_large = M::BODIES && system.n_points() > SMALL_SYSTEM;
         let mut max_force = self.forces(system)?;
         for _ in 0..STEPS {
             if max_force <= tolerance {
@@ -82,15 +86,21 @@ impl Search<'_> {
             if looks_ahead && system.prepare_for_reach()? {
                 system.max_force()?; // not counted: when lists are made must not be seen in a report
             }
-            let form = (Stiffness::of(system, prestress)?, vec![[0.0; 2]; system.forces().len()]);
-            let Some(mut step) = self.direction(system, &form, &mut shift, cap) else {
+            let mut form = (Stiffness::of(system, prestress)?, vec![[0.0; 2]; system.forces().len()]);
+            self.cholesky.load(system, &form.0);
+            if is_large && prestress.buckling > 0.0 && !self.cholesky.factorize(&system.comm, least) {
+                prestress = prestress.braced();
+                form.0 = Stiffness::of(system, prestress)?;
+                self.cholesky.load(system, &form.0);
+            }
+            let Some(mut step) = self.direction(system, &form.1, &mut shift, cap) else {
                 return Ok(false);
             };
             if looks_ahead {
                 step = self.ahead(system, form, step, prestress, &mut shift, cap);
             }
             let mut way = self.set_out(system, step, shift, cap, bends.then_some(tolerance))?;
-            prestress = 1.0;
+            prestress = Prestress::ALL;
             max_force = self.along(system, &mut way, tolerance)?;
             let Way { longest, turn, here, .. } = way;
             tracing::trace!(shift, longest, turn, length = here, max_force, "Newton step");
@@ -103,7 +113,7 @@ impl Search<'_> {
                 shift *= if self.is_gentle { SHIFT_RISE } else { 1.0 };
             }
             let rough = tolerance.max(ROUGH * self.unit);
-            if smooths && !self.is_gentle && max_force > rough {
+            if is_large && !self.is_gentle && max_force > rough {
                 let goal = self.goal_of(rough, SMOOTHING);
                 self.add(ConjugateGradient.minimize(system, &goal)?.report());
                 max_force = self.report.max_force;
@@ -119,7 +129,7 @@ impl Search<'_> {
         system: &mut System<M>,
         mut form: (Stiffness, Vec<Vec2>),
         plain: (Vec<Vec2>, f64),
-        prestress: f64,
+        prestress: Prestress,
         shift: &mut f64,
         cap: f64,
     ) -> (Vec<Vec2>, f64) {
@@ -130,22 +140,23 @@ impl Search<'_> {
                 return step;
             }
             form = next;
-            let Some(better) = self.direction(system, &form, shift, cap) else { break };
+            self.cholesky.load(system, &form.0);
+            let Some(better) = self.direction(system, &form.1, shift, cap) else { break };
             step = better;
         }
         if slope(system, |i| step.0[i]) > 0.0 { step } else { plain }
     }
 
-    /// The minimum of a quadratic form of the energy, given by its Hessian and what its forces differ from the present
-    /// ones, with the smallest shift from `shift` on that keeps the step short; and the longest displacement in it.
+    /// The minimum of a quadratic form of the energy, with the Hessian that was loaded and forces that differ by `changes`
+    /// from the present ones, with the smallest shift from `shift` on that keeps the step short; and the longest
+    /// displacement in it.
     fn direction<M: Model>(
         &mut self,
         system: &System<M>,
-        (stiffness, changes): &(Stiffness, Vec<Vec2>),
+        changes: &[Vec2],
         shift: &mut f64,
         cap: f64,
     ) -> Option<(Vec<Vec2>, f64)> {
-        self.cholesky.load(system, stiffness);
         let least = SHIFT_LEAST * self.stiffest;
         for _ in 0..SHIFTS {
             if self.cholesky.factorize(&system.comm, *shift) {
