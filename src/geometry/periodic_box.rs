@@ -123,6 +123,18 @@ impl PeriodicBox {
         (image, [columns as i64, rows as i64])
     }
 
+    /// By which vectors of the lattice images of a point that are not the nearest differ from that, if they may come nearer
+    /// than `reach`, which is at most the smaller width: none in a box twice as wide.
+    pub fn images_within(&self, reach: f64) -> Vec<Vec2> {
+        let [a, b] = self.widths();
+        if 2.0 * reach <= a.min(b) {
+            return Vec::new();
+        }
+        let around = [-1.0, 0.0, 1.0]
+            .map(|rows| [-1.0, 0.0, 1.0].map(|columns| [columns * self.lx + rows * self.xy, rows * self.ly]));
+        around.as_flattened().iter().copied().filter(|&by| by != [0.0; 2]).collect()
+    }
+
     /// A raw fixed-point difference as a Cartesian vector.
     #[inline(always)]
     pub fn vector(&self, raw: [i64; 2]) -> Vec2 {

@@ -1,5 +1,5 @@
 use super::{Candidates, EdgeCells, PointList, Rows};
-use crate::geometry::{closest_on_segment, dot, scale, segments_cross, segments_run_together, sub};
+use crate::geometry::{Vec2, add, closest_on_segment, dot, scale, segments_cross, segments_run_together, sub};
 
 /// An edge of another particle near one of ours.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,18 +38,21 @@ impl EdgeEdgeList {
 /// Whether two edges come closer than `range`, or cross, or lie on each other as no edges of outlines do that are apart.
 fn is_near(cells: &EdgeCells, a: &super::Edge, b: &super::Edge, range: f64) -> bool {
     let position = &cells.candidates.particles.position;
-    let apart = cells.candidates.pbox.displacement(position[b.ends[0] as usize], position[a.ends[0] as usize]);
+    let nearest = cells.candidates.pbox.displacement(position[b.ends[0] as usize], position[a.ends[0] as usize]);
     let (u, v) = (cells.vector(a), cells.vector(b));
     let near = |from_start, edge| {
         let d = sub(from_start, scale(closest_on_segment(from_start, edge), edge));
         dot(d, d) < range * range
     };
-    near(apart, u)
-        || near([apart[0] + v[0], apart[1] + v[1]], u)
-        || near([-apart[0], -apart[1]], v)
-        || near(sub(u, apart), v)
-        || segments_cross(apart, u, v)
-        || segments_run_together(apart, u, v)
+    let is_near_at = |apart: Vec2| {
+        near(apart, u)
+            || near([apart[0] + v[0], apart[1] + v[1]], u)
+            || near([-apart[0], -apart[1]], v)
+            || near(sub(u, apart), v)
+            || segments_cross(apart, u, v)
+            || segments_run_together(apart, u, v)
+    };
+    is_near_at(nearest) || cells.images.iter().any(|&by| is_near_at(add(nearest, by)))
 }
 
 impl PointList for EdgeEdgeList {

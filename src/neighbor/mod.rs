@@ -101,6 +101,8 @@ struct EdgeCells<'a> {
     edges: Vec<Edge>,
     midpoints: Vec<Frac>,
     by_midpoint: CellList,
+    /// Images of an edge besides the nearest that may be within the range of another ([`PeriodicBox::images_within`]).
+    images: Vec<Vec2>,
 }
 
 impl<'a> EdgeCells<'a> {
@@ -129,7 +131,8 @@ impl<'a> EdgeCells<'a> {
         let longest = threads::fold(&chunks, &mut edges, &mut midpoints, &work, &f64::max).unwrap_or(0.0);
         let reach = range + longest;
         let by_midpoint = CellList::new(pbox, &candidates.region, &midpoints, reach);
-        EdgeCells { candidates, edges, midpoints, by_midpoint }
+        let images = pbox.images_within(reach + longest);
+        EdgeCells { candidates, edges, midpoints, by_midpoint, images }
     }
 
     fn vector(&self, edge: &Edge) -> Vec2 {

@@ -110,12 +110,11 @@ fn nested(candidates: &Candidates) -> Option<(u32, u32)> {
     lowest
 }
 
-/// Whether any image of a point, of which one is given relative to the first vertex, lies inside a polygon, which may be
-/// wider than half the box.
+/// Whether any image of a point, of which the nearest is given relative to the first vertex, lies inside a polygon, which
+/// may be wider than half the box.
 fn holds_an_image(pbox: &PeriodicBox, polygon: &Polygon, point: Vec2) -> bool {
-    let images = [-1.0, 0.0, 1.0]
-        .map(|rows| [-1.0, 0.0, 1.0].map(|columns| [columns * pbox.lx() + rows * pbox.xy(), rows * pbox.ly()]));
-    images.as_flattened().iter().any(|&by| holds(polygon, add(point, by)))
+    let others = pbox.images_within(0.5 * polygon.perimeter());
+    holds(polygon, point) || others.iter().any(|&by| holds(polygon, add(point, by)))
 }
 
 /// Whether a point, given relative to the first vertex, lies inside a polygon: an odd number of edges lies to its right.
@@ -133,8 +132,11 @@ fn holds(polygon: &Polygon, point: Vec2) -> bool {
 mod tests {
     use super::*;
     use crate::comm::Comm;
+    use crate::geometry::segments_cross;
     use crate::model::{Deformable, DeformableParameters, Harmonic, VertexEdge};
     use crate::particles::Particles;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
     use std::f64::consts::TAU;
 
     fn check(pbox: PeriodicBox, polygons: &[Vec<Vec2>]) -> Option<(u32, u32)> {
@@ -184,6 +186,39 @@ mod tests {
         let polygon: Vec<Vec2> = (0..17).map(corner).collect();
         assert_eq!(check(pbox, &[polygon.clone(), polygon]), Some((0, 1)));
         assert_eq!(check(pbox, &[square(1.0, 1.0, 1.0), square(1.5, 2.0, 1.0)]), None);
+    }
+
+    #[test]
+    fn edges_that_are_long_for_their_box() {
+        // rhombi of which no two edges that cross have their starts within half the box
+        let a = [[1.9507, 0.1640], [3.2638, 0.0252], [4.4289, 0.6463], [3.1159, 0.7851]];
+        let b = [[1.0663, 1.0214], [-0.1755, 1.4088], [-1.4100, 0.9984], [-0.1681, 0.6110]];
+        assert_eq!(check(PeriodicBox::square(3.0), &[a.to_vec(), b.to_vec()]), Some((0, 1)));
+        let pbox = PeriodicBox::new(3.0, 3.1, 0.4);
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut random = |low: f64, high: f64| low + (high - low) * (rng.next_u64() as f64 / 2f64.powi(64));
+        let (mut crossed, mut apart) = (0, 0);
+        for _ in 0..1000 {
+            // a thin triangle, its edges between a third of the box and just below half
+            let mut triangle = || {
+                let (x, y, start, length) = (random(0.0, 3.0), random(0.0, 3.0), random(0.0, TAU), random(1.0, 1.35));
+                let corner = |angle: f64, far: f64| [x + far * angle.cos(), y + far * angle.sin()];
+                [[x, y], corner(start, length), corner(start + random(0.02, 0.3), length)]
+            };
+            let [a, b] = [triangle(), triangle()];
+            let crosses = |by: Vec2| {
+                let edge = |t: &[Vec2; 3], k: usize| (t[k], sub(t[(k + 1) % 3], t[k]));
+                (0..9).any(|k| {
+                    let ((p, u), (q, v)) = (edge(&a, k / 3), edge(&b, k % 3));
+                    segments_cross(add(sub(q, p), by), u, v)
+                })
+            };
+            let images = (-3..4).flat_map(|i| (-3..4).map(move |j| (i as f64, j as f64)));
+            let is_crossed = { images }.any(|(i, j)| crosses([i * pbox.lx() + j * pbox.xy(), j * pbox.ly()]));
+            assert_eq!(check(pbox, &[a.to_vec(), b.to_vec()]), is_crossed.then_some((0, 1)), "{a:?} {b:?}");
+            *(if is_crossed { &mut crossed } else { &mut apart }) += 1;
+        }
+        assert!(crossed > 100 && apart > 100, "{crossed} {apart}");
     }
 
     #[test]

@@ -142,6 +142,8 @@ pub struct Outlines<'a> {
     /// Of each edge; the centres of disks.
     midpoints: Cow<'a, [Frac]>,
     cells: CellList,
+    /// Images of an edge besides the nearest that may touch another ([`PeriodicBox::images_within`]).
+    images: Vec<Vec2>,
     hair: f64,
 }
 
@@ -151,10 +153,10 @@ impl<'a> Outlines<'a> {
         let Candidates { pbox, particles, region, .. } = candidates;
         let counts: Vec<bool> = particles.id.iter().map(|&id| counts(id)).collect();
         let (mut edges, mut first) = (Vec::new(), Vec::new());
-        let (midpoints, reach) = match thickness.shell {
+        let (midpoints, reach, longest) = match thickness.shell {
             None => {
                 let largest = particles.size.iter().copied().fold(0.0, f64::max);
-                (Cow::Borrowed(&particles.position[..]), largest)
+                (Cow::Borrowed(&particles.position[..]), largest, 0.0)
             }
             Some(radius) => {
                 edges.reserve(particles.position.len());
@@ -166,12 +168,13 @@ impl<'a> Outlines<'a> {
                     first.push(edges.len());
                 }
                 let midpoint = |e: &Edge| pbox.moved(e.anchor, scale(0.5 * e.length, e.along));
-                let reach = edges.iter().map(|e| e.length + 2.0 * e.radius).fold(0.0, f64::max);
-                (edges.iter().map(midpoint).collect(), reach)
+                let longest = edges.iter().map(|e| e.length).fold(0.0, f64::max);
+                (edges.iter().map(midpoint).collect(), longest + 2.0 * radius, longest)
             }
         };
         let cells = CellList::new(pbox, region, &midpoints, reach.max(f64::MIN_POSITIVE));
-        Outlines { candidates, counts, edges, first, midpoints, cells, hair: thickness.hair }
+        let images = pbox.images_within(reach + longest);
+        Outlines { candidates, counts, edges, first, midpoints, cells, images, hair: thickness.hair }
     }
 
     fn is_disks(&self) -> bool {
@@ -251,13 +254,13 @@ impl<'a> Outlines<'a> {
         // the edges of lower ones near it, each as often as there are images of it there
         let mut lower = Vec::new();
         for (e, &(anchor, _)) in own.clone().zip(&anchors) {
-            let edge = self.edge(e);
             self.for_each_near(e, |c| {
                 let other = self.edge(c as usize);
-                if other.id < id && self.may_touch(e, c as usize) {
-                    let near = add(anchor, pbox.displacement(other.anchor, edge.anchor));
-                    let (at, periods) = pbox.image_near(other.anchor, first.anchor, near);
-                    lower.push((other.id, c, periods, at));
+                if other.id < id {
+                    self.starts(e, c as usize).for_each(|start| {
+                        let (at, periods) = pbox.image_near(other.anchor, first.anchor, add(anchor, start));
+                        lower.push((other.id, c, periods, at));
+                    });
                 }
             });
         }
@@ -283,16 +286,16 @@ impl<'a> Outlines<'a> {
         let (mut parts, mut near) = (Vec::new(), Vec::new());
         for &(_, e, _, anchor) in &lower {
             let edge = self.edge(e as usize);
-            // own edges that this image of it is near to
+            // own edges that this image of it is near to, and where they start from there
             near.clear();
-            near.extend(own.clone().filter(|&c| {
-                let apart =
-                    sub(add(anchor, pbox.displacement(self.edge(c).anchor, edge.anchor)), anchors[c - own.start].0);
-                self.may_touch(e as usize, c) && dot(apart, apart) < edge.radius * edge.radius
+            near.extend(own.clone().flat_map(|c| {
+                let there = sub(anchors[c - own.start].0, anchor);
+                let is_there = move |start: &Vec2| norm(sub(*start, there)) < edge.radius;
+                self.starts(e as usize, c).filter(is_there).map(move |start| (c, start))
             }));
             for piece in edge.pieces() {
                 parts.clear();
-                near.iter().for_each(|&c| self.hide(e as usize, &piece, c, &mut parts));
+                near.iter().for_each(|&(c, start)| self.hide_from(e as usize, &piece, c, start, &mut parts));
                 if parts.is_empty() {
                     continue;
                 }
@@ -331,20 +334,23 @@ impl<'a> Outlines<'a> {
         pieces
     }
 
-    fn may_touch(&self, e: usize, c: usize) -> bool {
+    /// Vectors from the start of edge `e` to the starts of those images of edge `c` that may touch it, itself left out.
+    fn starts(&self, e: usize, c: usize) -> impl Iterator<Item = Vec2> {
         let (edge, other) = (self.edge(e), self.edge(c));
-        let apart = self.candidates.pbox.displacement(other.anchor, edge.anchor);
+        let nearest = self.candidates.pbox.displacement(other.anchor, edge.anchor);
         let reach = edge.length + other.length + edge.radius + other.radius;
-        dot(apart, apart) < reach * reach
+        let others = self.images.iter().map(move |&by| add(nearest, by));
+        (e != c).then_some(nearest).into_iter().chain(others).filter(move |s| dot(*s, *s) < reach * reach)
     }
 
     /// Adds the parts of a piece of edge `e` that the capsule of edge `c` hides.
     fn hide(&self, e: usize, piece: &Piece, c: usize, hidden: &mut Vec<Hidden>) {
-        if e == c || !self.may_touch(e, c) {
-            return;
-        }
+        self.starts(e, c).for_each(|start| self.hide_from(e, piece, c, start, hidden));
+    }
+
+    /// The same for the image of edge `c` that starts at `start` from that of `e`.
+    fn hide_from(&self, e: usize, piece: &Piece, c: usize, start: Vec2, hidden: &mut Vec<Hidden>) {
         let (edge, other) = (self.edge(e), self.edge(c));
-        let start = self.candidates.pbox.displacement(other.anchor, edge.anchor);
         let is_disk = edge.length == 0.0 && other.length == 0.0;
         if is_disk && norm(start) + (edge.radius - other.radius).abs() <= self.hair {
             // of two equal disks at one place only the first is seen

@@ -875,6 +875,22 @@ mod tests {
     }
 
     #[test]
+    fn edges_that_are_long_for_their_box() {
+        // bricks, three rows of three, each shifted against the one below: three meet in a T, where the place farthest
+        // from all of them is 5/8 of the gaps away
+        for (gap, shift, n_voids) in [(0.05, 0.2, 0), (0.1, 0.55, 0), (0.15, 0.3, 0), (0.17, 0.3, 18), (0.25, 0.4, 1)] {
+            let period = 1.0 + gap;
+            let pbox = PeriodicBox::new(3.0 * period, 3.0 * period, 3.0 * shift);
+            let brick = |k: usize| {
+                let (column, row) = ((k % 3) as f64, (k / 3) as f64);
+                square(column * period + row * shift + 0.1, row * period - 0.3, 1.0)
+            };
+            let v = voids(polygons(pbox, &(0..9).map(brick).collect::<Vec<_>>()));
+            assert_eq!(v.statistics.n_voids, n_voids, "{gap} {shift} {v:?}");
+        }
+    }
+
+    #[test]
     fn parts_come_to_the_same_voids() {
         // enough disks to percolate but in places, with voids that are wide, narrow, and between few
         let pbox = PeriodicBox::new(12.0, 11.0, 2.0);
