@@ -166,6 +166,20 @@ pub fn fits(
     Ok(ProcessGrid::new(ranks, smallest_box, range + skin + 2.0 * radius)?)
 }
 
+/// Between a point and the edge on which it acts the vector is taken to an end of that edge, in the nearest image, which is
+/// that of the edge only where the box is wide enough: whether it is, for edges of that length which act up to `range`, with
+/// `skin` added in neighbour lists, and the [`Model::EDGES_AND_SKINS_BETWEEN`] of their contacts.
+pub fn edges_fit(
+    pbox: &PeriodicBox,
+    [edges, skins]: [f64; 2],
+    [edge, range, skin]: [f64; 3],
+) -> Result<(), EngineError> {
+    let widths = pbox.widths();
+    let width = widths[0].min(widths[1]);
+    let least = 2.0 * (edges * edge + range + skins * skin);
+    if least >= width { Err(EngineError::LongEdges { edge, range, least, width }) } else { Ok(()) }
+}
+
 impl<M: Model> System<M> {
     /// A system of the particles that each rank brings (any distribution over the ranks; ids unique).
     ///
@@ -562,7 +576,9 @@ impl<M: Model> System<M> {
                 self.skin = self.skin.min(0.5 * width - range);
             }
         }
-        self.check_edges(edge, widths[0].min(widths[1]))?;
+        if M::BODIES {
+            edges_fit(&self.pbox, M::EDGES_AND_SKINS_BETWEEN, [edge, self.model.range(self.largest_size), self.skin])?;
+        }
         let halo = range + self.skin;
         self.grid.check(&self.pbox, halo)?;
         let margin = widths.map(|w| halo / w);
@@ -603,15 +619,6 @@ impl<M: Model> System<M> {
         let (particles, pbox) = (&self.particles, &self.pbox);
         let count = if M::BODIES { particles.len() } else { 0 };
         threads::largest(count, |p| Polygon::from_vertices(pbox, particles.points_of(p)).longest_edge())
-    }
-
-    /// Between a point and the edge on which it acts the vector is taken to an end of that edge, in the nearest image, which
-    /// is that of the edge only where the box is wide enough.
-    fn check_edges(&self, edge: f64, width: f64) -> Result<(), EngineError> {
-        let range = self.model.range(self.largest_size);
-        let [edges, skins] = M::EDGES_AND_SKINS_BETWEEN;
-        let least = 2.0 * (edges * edge + range + skins * self.skin);
-        if M::BODIES && least >= width { Err(EngineError::LongEdges { edge, range, least, width }) } else { Ok(()) }
     }
 
     /// Every particle to the rank that owns its centre. Particles travel one subdomain at a time, so that only

@@ -348,6 +348,10 @@ fn a_box_in_which_a_particle_meets_its_own_image_is_refused() {
     place.refuses(&["run", "scene.toml"], &["box is too small", "more particles"]);
     place.refuses(&["run", "scene.toml", "--check"], &["box is too small", "more particles"]);
     place.jamhpc(&["run", "scene.toml", "--check", "--set", "n_particles=16"]).succeeds();
+    let triangles = Place::with("scene.toml", "model = 'dp'\nn_particles = 6\nparticles.n_vertices = [3]\n");
+    triangles.refuses(&["run", "scene.toml"], &["edges as long as 1.5197", "more vertices"]);
+    triangles.refuses(&["run", "scene.toml", "--check"], &["edges as long as 1.5197", "more vertices"]);
+    triangles.jamhpc(&["run", "scene.toml", "--check", "--set", "n_particles=16"]).succeeds();
 }
 
 #[test]
@@ -528,6 +532,20 @@ fn a_check_finds_altered_numbers() {
         }
         std::fs::write(&file, sound).unwrap();
     }
+    // more samples than a file of its length holds: the lengths of all series so far and at most
+    let open = hdf5::File::open(&file).unwrap();
+    let frames = open.dataset("particles/all/position/step").unwrap().size() as u64;
+    drop(open);
+    let lengths = |frames: u64| [frames.to_le_bytes(), [255; 8]].concat();
+    let (before, after) = (lengths(frames), lengths(4_000_000_000_000));
+    let mut bytes = std::fs::read(&file).unwrap();
+    for k in 0..bytes.len() - 16 {
+        if bytes[k..].starts_with(&before) {
+            bytes[k..k + 16].copy_from_slice(&after);
+        }
+    }
+    std::fs::write(&file, bytes).unwrap();
+    place.refuses(&["analyze", "out/results.h5", "--all"], &["out/results.h5", "damaged: 4000000000000 samples"]);
 }
 
 #[test]

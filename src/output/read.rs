@@ -1,6 +1,6 @@
 //! Reading a results file back, by any number of ranks: the exact bits of every sample.
 
-use super::error::{OutputError, agree, on_root};
+use super::error::{OutputError, agree};
 use super::folder::explain;
 use super::h5md::{
     COLUMNS, COMPLETE, EDGES, FRACTION, Header, OBSERVABLES, SIZES, STEP, Status, access, model, size_name, slab,
@@ -58,11 +58,16 @@ impl Results {
     }
 
     fn try_open(comm: &Comm, path: &Path) -> Result<Self, String> {
-        on_root(comm, || looks_like_hdf5(path))?;
+        let bytes = comm.from_root(|| looks_like_hdf5(path).map(|bytes| bytes.to_le_bytes().to_vec()))?;
+        let bytes = bytes.try_into().map_or(0, u64::from_le_bytes);
         let file = agree(comm, access(comm).and_then(|fapl| File::with_options().set_fapl(&fapl)?.open(path)))
             .map_err(|reason| format!("damaged HDF5 file ({reason})"))?;
         let mut results = agree(comm, read_header(comm, path, file))
             .map_err(|reason| format!("an HDF5 file, but not a results file of jamhpc, or a damaged one ({reason})"))?;
+        if results.frames.max(results.particles) as u64 > bytes {
+            let Results { frames, particles, .. } = results;
+            return Err(format!("damaged: {frames} samples of {particles} particles in {bytes} bytes"));
+        }
         results.points = points_here(comm, results.points.len()).0;
         Ok(results)
     }
@@ -133,15 +138,15 @@ impl Results {
     }
 }
 
-/// Whether there is a file and it begins as HDF5 files do, before HDF5 itself looks at it.
-fn looks_like_hdf5(path: &Path) -> Result<(), String> {
+/// Whether there is a file and it begins as HDF5 files do, before HDF5 itself looks at it; its length.
+fn looks_like_hdf5(path: &Path) -> Result<u64, String> {
     if path.is_dir() {
         return Err("it is a folder; name the .h5 file in it".to_owned());
     }
     let mut start = [0; 8];
     let mut file = std::fs::File::open(path).map_err(|e| explain(&e))?;
     match file.read_exact(&mut start) {
-        Ok(()) if start == *b"\x89HDF\r\n\x1a\n" => Ok(()),
+        Ok(()) if start == *b"\x89HDF\r\n\x1a\n" => Ok(file.metadata().map_err(|e| explain(&e))?.len()),
         Ok(()) => Err("not an HDF5 file; results files are named NAME.h5".to_owned()),
         Err(_) => Err("too short for an HDF5 file".to_owned()),
     }

@@ -37,9 +37,13 @@ impl Species {
         if self.n_vertices == 1 {
             return 0.25 * PI * self.size * self.size;
         }
+        rounded_area(self.size, self.perimeter(), delta)
+    }
+
+    /// Of the regular polygon of area a₀, than which no outline about that area is shorter.
+    pub fn perimeter(&self) -> f64 {
         let n = self.n_vertices as f64;
-        let perimeter = (4.0 * n * (PI / n).tan() * self.size).sqrt();
-        rounded_area(self.size, perimeter, delta)
+        (4.0 * n * (PI / n).tan() * self.size).sqrt()
     }
 }
 

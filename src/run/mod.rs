@@ -25,6 +25,8 @@ use std::path::Path;
 /// Runs a scene, or goes on with a run of it, and keeps its results in a folder; `speaks` allows progress lines.
 pub fn run(comm: Comm, scene: &Scene, resume: bool, speaks: bool) -> Result<(), Failure> {
     Signals::listen()?;
+    // not after hours, when the box has become small
+    setup::check(comm.size(), scene)?;
     with_system(comm, scene, Keep { scene, resume, speaks })
 }
 

@@ -1,11 +1,11 @@
 //! From the scene to a system at its random start.
 
 use crate::comm::Comm;
-use crate::engine::{EngineError, System, fits};
+use crate::engine::{EngineError, System, edges_fit, fits};
 use crate::failure::Failure;
 use crate::geometry::PeriodicBox;
 use crate::minimize::Goal;
-use crate::model::{Contact, Deformable, DeformableParameters, Harmonic, SoftDisks};
+use crate::model::{Contact, Deformable, DeformableParameters, EdgeEdge, Harmonic, SoftDisks, VertexEdge};
 use crate::output::Header;
 use crate::protocol::{OnsetSearch, START_SKIN, Species, deformable_particles, spread_disks, widening};
 use crate::scene::{self, Compression, DpPhysics, LINE_TENSION, Physics, Scene, SpPhysics};
@@ -53,6 +53,12 @@ pub fn check(ranks: usize, scene: &Scene) -> Result<(), EngineError> {
             start_fits(ranks, &boxes.start, &diameters, wider.max(1.0))?;
             let radius = 0.5 * (largest(&diameters) - delta);
             fits(ranks, &boxes.smallest, false, [radius, delta, skin])?;
+            let between = match dp.potential.contact {
+                scene::Contact::VertexEdge => VertexEdge::EDGES_AND_SKINS_BETWEEN,
+                scene::Contact::EdgeEdge => EdgeEdge::EDGES_AND_SKINS_BETWEEN,
+            };
+            let edge = species.iter().map(|s| s.perimeter() / s.n_vertices as f64).fold(0.0, f64::max);
+            edges_fit(&boxes.smallest, between, [edge, delta, skin])?;
         }
     }
     Ok(())
@@ -179,7 +185,6 @@ const DP_UNITS: &str = "length: l, the mean of sqrt(a0) over the smallest and th
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::VertexEdge;
 
     #[test]
     fn no_density_of_a_run_is_above_the_largest() {
